@@ -37,8 +37,8 @@ if TYPE_CHECKING:
     from cep.restoration.restore import restore
     from cep.restoration.together import restore_together
     from cep.search.advise import advise
+    from cep.search.baselines import compare
     from cep.search.bounds import bound
-    from cep.search.compare import compare
     from cep.search.limits import RunLimits
     from cep.search.optimize import optimize
     from cep.search.problem import SearchProblem
@@ -99,7 +99,7 @@ _MODULES = {
     "capture": "cep.optics.capture",
     "certify": "cep.proofs.certify.certificate",
     "coded_psf": "cep.optics.exposure",
-    "compare": "cep.search.compare",
+    "compare": "cep.search.baselines",
     "detect_direction": "cep.restoration.direction",
     "estimate_motion": "cep.calibration.calibrate",
     "load_code": "cep.codes.sources",

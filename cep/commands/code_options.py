@@ -13,8 +13,7 @@ from cep.search.objectives import OBJECTIVES
 
 if TYPE_CHECKING:
     from cep.optics.code import ShutterCode
-    from cep.search.problem import Mix, ScenarioRule, SearchProblem
-    from cep.search.scenarios import Scenario
+    from cep.search.problem import Mix, Scenario, ScenarioRule, SearchProblem
     from motdiff.trajectory import Trajectory
 
 # panels of the help pages

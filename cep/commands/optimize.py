@@ -22,8 +22,7 @@ from cep.commands.search_run import saved_on_interrupt
 
 if TYPE_CHECKING:
     from cep.search.optimize import Optimum
-    from cep.search.problem import SearchProblem
-    from cep.search.scenarios import Scenario
+    from cep.search.problem import Scenario, SearchProblem
     from motdiff.files.trajectories import StoredMotion
 
 _SPEEDS = 5  # of a range: the worst speed lies at one of its ends or near the middle
@@ -52,7 +51,7 @@ class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
 
     def scenarios(self, stored: StoredMotion) -> tuple[Scenario, ...]:
         """Return the motion at the speeds that are designed for."""
-        from cep.search.scenarios import Scenario, speed_range
+        from cep.search.problem import Scenario, speed_range
 
         if self.speed is None:
             return (Scenario(stored.trajectory),)

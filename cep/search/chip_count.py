@@ -41,6 +41,14 @@ class ChipCount:
     code: ShutterCode | None
     early: str = ""
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Warnings, one sentence each."""
+        if not self.early:
+            return ()
+        end = {"time": "the time", "interrupted": "Ctrl-C"}[self.early]
+        return (f"{end} ended the choice of the number of chips: fewer numbers were tried",)
+
     def uninterrupted(self) -> ChipCount:
         """Return this choice; raise KeyboardInterrupt where Ctrl-C ended it."""
         if self.early == "interrupted":

@@ -16,8 +16,7 @@ from cep.optics.exposure import chip_rows, coded_sum, distinct_rows
 from cep.optics.mtf import wiener_mse
 from cep.optics.response import ShutterResponse, open_time
 from cep.optics.scene import PHOTO, Scene, inverse_scene, noise_variance
-from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario
+from cep.search.problem import Scenario, SearchProblem
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

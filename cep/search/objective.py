@@ -20,8 +20,7 @@ from cep.optics.response import open_time
 from cep.optics.scene import inverse_scene, noise_variance
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.search.objectives import Spectrum
-from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario
+from cep.search.problem import Scenario, SearchProblem
 
 RealArray = NDArray[Any]
 

@@ -4,13 +4,15 @@ of the searches that their proofs cover, starts of others.
 
 from __future__ import annotations
 
+import math
 import time
+from functools import cache
 from typing import NamedTuple
 
 from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import chip_minimum
-from cep.search.exhaustive.proof import BundledLog, ExactResult
+from cep.search.exhaustive.exact import BundledLog, ExactResult
 from cep.search.problem import SearchProblem
 
 _TABLE = "docs/optima.md"
@@ -174,6 +176,24 @@ def proven_starts(problem: SearchProblem) -> list[ShutterCode]:
         return []
     codes = (_within_limits(problem, entry) for entry in OPTIMA)
     return [code for code in codes if code is not None]
+
+
+def proven_ceiling(chips: int, open_chips: int) -> float:
+    """Return what no code of so many chips and open chips can exceed in its smallest |P|, chips.
+
+    Infinite where no proof covers them.
+    """
+    covering = (
+        entry
+        for entry in OPTIMA
+        if chips <= entry.chips and entry.fewest_open <= open_chips <= entry.most_open
+    )
+    return min((_proven_minimum(entry.bits) for entry in covering), default=math.inf)
+
+
+@cache
+def _proven_minimum(bits: str) -> float:
+    return chip_minimum(ShutterCode(bits)).upper
 
 
 def _within_limits(problem: SearchProblem, entry: ProvenCode) -> ShutterCode | None:

@@ -17,16 +17,17 @@ from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.measure import CodeMetrics
+from cep.search.annealing.polish import judging_objective
+from cep.search.baselines import Comparison, compare, mean_length_px
+from cep.search.bounds import bound
 from cep.search.chip_count import ChipCount, choose_chips
-from cep.search.compare import Comparison, compare
 from cep.search.exhaustive.exact import codes_to_count
-from cep.search.objective import Objective
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
-from cep.search.recipe import Found, mean_length_px
 from cep.search.search import (
     NO_TIME_S,
     Search,
+    SearchOutcome,
     described_search,
     ended_early,
     search,
@@ -42,13 +43,7 @@ _LEAST_LEFT = 0.1  # of the time, for the search after that choice
 _SEARCH_SHARE = 0.5  # of the time: then it is measured
 _MEASURED_SHARE = 0.95  # of the time: comparing and certifying take the rest
 _LESS_LIGHT = (3, 10)  # factors of the light that rivals of the code are searched for
-_FINE = 64  # samples per 1 / extent: to judge
-_FEWER_TRIED = {
-    "": [],
-    "time": ["the time ended the choice of the number of chips: fewer numbers were tried"],
-    "interrupted": ["Ctrl-C ended the choice of the number of chips: fewer numbers were tried"],
-}
-"""Warnings by what ended the choice of the number of chips."""
+Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
@@ -59,7 +54,7 @@ class Optimum:
     ----------
     problem : SearchProblem
     how : Search
-    found : Found
+    found : SearchOutcome
         The search or the proof: cost, moves, seconds, and what ended it.
     comparison : Comparison
         The code first, then what would be used instead of it.
@@ -82,7 +77,7 @@ class Optimum:
 
     problem: SearchProblem
     how: Search
-    found: Found
+    found: SearchOutcome
     comparison: Comparison
     verdict: Verdict
     along: Trajectory | None
@@ -125,7 +120,7 @@ class Optimum:
                 for exposure in self.verdict.ways
                 if exposure.saturates and exposure.code.bits == self.code.bits
             ),
-            *(_FEWER_TRIED[self.chip_count.early] if self.chip_count else ()),
+            *(self.chip_count.warnings if self.chip_count else ()),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -177,13 +172,7 @@ class Optimum:
         source : mapping, optional
             Where the motion comes from, for the file's description of the problem.
         """
-        about = {
-            **(source or {}),
-            **described_search(
-                self.problem, self.how, steps=self.found.steps, stopped=self.found.stopped
-            ),
-            "proof": self.found.proof,
-        }
+        about = {**(source or {}), **_described(self.problem, self.how, self.found)}
         write_code(
             path,
             StoredCode(self.code, self.metrics.to_dict(), about, self.certificate.to_dict()),
@@ -222,7 +211,7 @@ def optimize(
     photographs: Sequence[FloatArray] | None = None,
     threads: int | None = None,
     announce: Callable[[str], None] = lambda _text: None,
-    progress: Callable[[float, str], None] = lambda _share, _note: None,
+    progress: Progress = lambda _share, _note: None,
     on_found: Callable[[StoredCode], None] = lambda _stored: None,
     on_best: Callable[[ShutterCode], None] = lambda _code: None,
 ) -> Optimum:
@@ -276,91 +265,70 @@ def optimize(
     ('1010111100100100', 'proven')
     """
     how = Search(method=method, steps=steps, time_s=time_s, seed=seed)
-    started = time.monotonic()
+    searched_how = how
     chosen: ChipCount | None = None
-    searched_s = time_s
-    finished = 0.0  # share of the progress that the choice of the number of chips has
     if not isinstance(problem, SearchProblem):
+        started = time.monotonic()
         chosen = choose_chips(
             problem,
             path_error_px=path_error_px,
             seed=seed,
             time_s=_CHOOSING * (time_s or math.inf),
             threads=threads,
-            progress=lambda share, note: progress(_CHOOSING * share, note),
+            progress=_part(progress, 0.0, _CHOOSING),
         )
         problem = problem(chosen.chips)
+        progress = _part(progress, _CHOOSING, 1.0)
         if chosen.code is not None:  # best by the expected error: a start by any objective
             start = [*start, chosen.code]
-        finished = _CHOOSING
-        if time_s is not None:
-            left_s = time_s - (time.monotonic() - started)
-            searched_s = max(left_s, _LEAST_LEFT * time_s)
         if chosen.early == "interrupted":
-            searched_s = NO_TIME_S
-
-    def tell(share: float, note: str) -> None:
-        progress(finished + (1 - finished) * share, note)
-
-    def tell_best(share: float, best: ShutterCode) -> None:
-        on_best(best)
-        tell(_SEARCH_SHARE * share, f"{best.open_chips} open")
-
+            searched_how = replace(how, time_s=NO_TIME_S)
+        elif time_s is not None:
+            left_s = time_s - (time.monotonic() - started)
+            searched_how = replace(how, time_s=max(left_s, _LEAST_LEFT * time_s))
     motion = checked_motion(problem, along)
     searched = searched_problem(problem)
-    note = ""
-    if method == "exact":
-        note = f"{codes_to_count(searched):.2g} codes"
-    tell(0.0, note)
+    progress(0.0, f"{codes_to_count(searched):.2g} codes" if method == "exact" else "")
+
+    def report_search(share: float, best: ShutterCode) -> None:
+        on_best(best)
+        progress(_SEARCH_SHARE * share, f"{best.open_chips} open")
+
     outcome = search(
         searched,
-        replace(how, time_s=searched_s),
+        searched_how,
         start=start,
         length_px=mean_length_px(problem),
         threads=threads,
-        progress=tell_best,
+        progress=report_search,
     )
     if chosen is not None and chosen.early == "interrupted":
         outcome = replace(outcome, stopped="interrupted")
-
-    def keep(searched_code: ShutterCode) -> ShutterCode:
-        code = replace(searched_code, chip_ns=problem.chip_ns)  # a search knows no times
-        # the limits already keep to the device: its own check has the last word
-        if reason := unplayable(code.bits, problem.device, code.chip_ns):
-            raise ValueError(reason)
-        about = described_search(problem, how, steps=outcome.steps, stopped=outcome.stopped)
-        on_found(StoredCode(code, problem={**about, "proof": outcome.proof}))
-        return code
-
-    code = keep(outcome.code)  # what follows takes seconds: a caller can keep the code before
-    tell(_SEARCH_SHARE, "measuring on photographs")
-    rivals: list[ShutterCode] = []
-    if problem.objective == "mse" and outcome.stopped == "steps":
-        rivals = _for_less_light(problem, outcome, seed=seed, threads=threads)
-    judgement = verdict(
+    stored = _stored(problem, how, outcome)
+    on_found(stored)  # what follows takes seconds: a caller can keep the code before
+    judgement = _judged(
         problem,
-        code,
-        rivals=rivals,
+        outcome,
+        seed=seed,
+        threads=threads,
         path_error_px=path_error_px,
         photographs=photographs,
         announce=announce,
-        progress=lambda share: tell(
-            _SEARCH_SHARE + (_MEASURED_SHARE - _SEARCH_SHARE) * share, "measuring on photographs"
-        ),
+        progress=_part(progress, _SEARCH_SHARE, _MEASURED_SHARE),
     )
-    if judgement.user_code is not None and judgement.user_code.code.bits != code.bits:
-        bits = judgement.user_code.code.bits
-        cost_db = _costs_db(problem, [judgement.user_code.code])[0]
-        outcome = replace(outcome, code=ShutterCode(bits), objective=cost_db)
-        code = keep(outcome.code)
-    tell(_MEASURED_SHARE, "comparing with other codes")
-    comparison = compare(problem, code, baselines=outcome.baselines)
+    if judgement.user_code is not None and judgement.user_code.code.bits != outcome.code.bits:
+        rival = ShutterCode(judgement.user_code.code.bits)
+        outcome = replace(outcome, code=rival, objective=_costs_db(problem, [rival])[0])
+        stored = _stored(problem, how, outcome)
+        on_found(stored)
+    progress(_MEASURED_SHARE, "comparing with other codes")
+    comparison = compare(problem, stored.code, baselines=outcome.baselines)
     path: Trajectory | None = None  # of a straight motion |P| is certified, whatever its speed
     if not problem.on_circle:
         path = _as_designed(motion, problem.direction)
-    certificate = certify(code, path)
+    certificate = certify(stored.code, path)
     bounded = _bounded(problem, outcome, comparison[0].metrics, straight=path is None)
-    tell(1.0, "")
+    progress(1.0, "")
     return Optimum(
         problem,
         how,
@@ -374,8 +342,55 @@ def optimize(
     )
 
 
+def _part(progress: Progress, first: float, last: float) -> Progress:
+    """Report a part of the work, from one share of the whole to another."""
+    return lambda share, note: progress(first + (last - first) * share, note)
+
+
+def _described(problem: SearchProblem, how: Search, outcome: SearchOutcome) -> dict[str, Any]:
+    about = described_search(problem, how, steps=outcome.steps, stopped=outcome.stopped)
+    return {**about, "proof": outcome.proof}
+
+
+def _stored(problem: SearchProblem, how: Search, outcome: SearchOutcome) -> StoredCode:
+    """Return a search's code, which knows no times yet, as a file describes it."""
+    code = replace(outcome.code, chip_ns=problem.chip_ns)
+    # the limits already keep to the device: its own check has the last word
+    if reason := unplayable(code.bits, problem.device, code.chip_ns):
+        raise ValueError(reason)
+    return StoredCode(code, problem=_described(problem, how, outcome))
+
+
+def _judged(
+    problem: SearchProblem,
+    outcome: SearchOutcome,
+    *,
+    seed: int,
+    threads: int | None,
+    path_error_px: float,
+    photographs: Sequence[FloatArray] | None,
+    announce: Callable[[str], None],
+    progress: Progress,
+) -> Verdict:
+    """Judge the code on photographs, beside codes for less light unless its search ended early."""
+    note = "measuring on photographs"
+    progress(0.0, note)
+    rivals: list[ShutterCode] = []
+    if problem.objective == "mse" and outcome.stopped == "steps":
+        rivals = _for_less_light(problem, outcome, seed=seed, threads=threads)
+    return verdict(
+        problem,
+        replace(outcome.code, chip_ns=problem.chip_ns),
+        rivals=rivals,
+        path_error_px=path_error_px,
+        photographs=photographs,
+        announce=announce,
+        progress=lambda share: progress(share, note),
+    )
+
+
 def _for_less_light(
-    problem: SearchProblem, outcome: Found, *, seed: int, threads: int | None
+    problem: SearchProblem, outcome: SearchOutcome, *, seed: int, threads: int | None
 ) -> list[ShutterCode]:
     """Search codes for less light, which stand more noise, and what is unknown beyond borders.
 
@@ -407,8 +422,7 @@ def _costs_db(problem: SearchProblem, codes: Sequence[ShutterCode]) -> list[floa
     """Cost of codes by the objective "mse", dB."""
     if not codes:
         return []
-    objective = Objective(problem, oversampling=_FINE, dtype=np.float64)
-    costs_db = objective.cost_of(np.array([code.array for code in codes]))
+    costs_db = judging_objective(problem).cost_of(np.array([code.array for code in codes]))
     return [float(cost_db) for cost_db in costs_db]
 
 
@@ -455,14 +469,12 @@ def certificate_warnings(problem: SearchProblem) -> list[str]:
 
 def _bounded(
     problem: SearchProblem,
-    outcome: Found,
+    outcome: SearchOutcome,
     metrics: CodeMetrics,
     *,
     straight: bool,
 ) -> tuple[str, float | None, float | None]:
     """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
-    from cep.search.bounds import bound
-
     # no bound is known for a mix, the flatness or the expected error
     if problem.objective not in ("min-mtf", "noise"):
         return "", None, None

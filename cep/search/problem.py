@@ -19,7 +19,6 @@ from cep.search.limits import Limits, RunLimits
 from cep.search.objectives import OBJECTIVES, Criterion
 from cep.search.playable import chip_time_ns, within_camera, within_device
 from cep.search.sampling import draw
-from cep.search.scenarios import Scenario
 from hw.device import DeviceProfile, load_profile
 from motdiff.estimators.base import MotionEstimate
 from motdiff.trajectory import Trajectory
@@ -29,6 +28,27 @@ DirectionRule = Literal["auto", "unknown", "forward"]
 ScenarioRule = Literal["worst", "mean"]
 Mix = str | tuple[tuple[str, float], ...]
 """Name of an objective, or names with their weights."""
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A possible motion with its weight.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    weight : float
+        Above 0; the weights of a problem's scenarios are relative to their sum.
+    """
+
+    trajectory: Trajectory
+    weight: float = 1.0
+
+    def path(self, *, reversed_path: bool) -> Trajectory:
+        """Return the motion or its reverse; the chips are played in their order either way."""
+        if reversed_path:
+            return self.trajectory.reversed()
+        return self.trajectory
 
 
 class ProblemFields(TypedDict, total=False):
@@ -385,3 +405,21 @@ def open_range_of_duty(chips: int, low: float, high: float) -> tuple[int, int]:
             f" {100 * low:g}%:{100 * high:g}%"
         )
     return fewest, largest
+
+
+def speed_range(motion: Trajectory, low: float, high: float, count: int) -> tuple[Scenario, ...]:
+    """Scale a path by ``count`` factors, evenly spaced from ``low`` to ``high``.
+
+    Raises
+    ------
+    ValueError
+        If the factors are not positive and in order, or one alone is to span a range.
+    """
+    if not (np.isfinite(high) and 0 < low <= high):
+        raise ValueError(f"speed: factors must be above 0 and in order, got {low:g}..{high:g}")
+    if count < 1 or (count == 1 and low < high):
+        raise ValueError(f"count: a range of speeds needs at least 2 of them, got {count}")
+    return tuple(
+        Scenario(motion.scaled(factor), 1 / count)
+        for factor in np.linspace(low, high, count).tolist()
+    )

@@ -1,24 +1,42 @@
-"""Search of a code by a method, within its moves and time, and the description of it in files."""
+"""Search of a code by annealing or a count of all codes, and the description of it in files.
+
+What a code is compared with is computed first. The annealing starts from whatever of it keeps the
+problem's limits, and from the nearest code to each other one. The code returned is the best of
+what the search found and of what it is compared with, by the problem's objective with its minima
+over the continuum. So no code within the limits that a table shows beats it.
+
+On straight motion the proven codes of docs/optima.md are starts as well. Where the proof of one
+covers the problem, that code is the answer.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import standard_moves
+from cep.search.annealing.anneal import SearchResult, anneal, standard_moves
+from cep.search.annealing.polish import judging_objective
+from cep.search.baselines import Baseline, find_baselines
+from cep.search.exhaustive.exact import ExactResult, ProofLog, codes_to_count, exact
+from cep.search.feasibility import nearest
+from cep.search.objective import Objective
+from cep.search.optima import proven_optimum, proven_starts
 from cep.search.problem import SearchProblem
-from cep.search.recipe import Found, prove_code, search_code
 
 STANDARD_TIME_S = 60.0
 """Limit of an annealing that is given neither moves nor a time, seconds."""
 
 NO_TIME_S = 1e-9
 """Time limit that ends an annealing at its start: the best of its starting codes is returned."""
+
+
+_LEAST_SHARE = 0.5  # of the time limit that the annealing has, however long the baselines take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +94,26 @@ class Search:
         return self.steps
 
 
+@dataclass(frozen=True)
+class SearchOutcome(SearchResult):
+    """What a search or a proof came to.
+
+    Its ``steps`` are the moves tried or the codes counted, and ``seconds`` are the baselines' as
+    well. ``stopped`` may also be "proven".
+
+    Attributes
+    ----------
+    baselines : tuple of Baseline
+        What the code was compared with: none of them that keeps the limits has a lower cost.
+        Ctrl-C may have cut them short.
+    proof : dict or None
+        Log of the proof; ``file`` names that of a bundled proof.
+    """
+
+    baselines: tuple[Baseline, ...] = ()
+    proof: dict[str, Any] | None = None
+
+
 def searched_problem(problem: SearchProblem) -> SearchProblem:
     """Reduce to the unit circle a problem where only the code's polynomial matters."""
     # |H| = |sinc| |P|: the largest min |P| holds for any speed, and has exact proofs
@@ -88,19 +126,26 @@ def search(
     problem: SearchProblem,
     how: Search,
     *,
-    start: Sequence[ShutterCode] = (),
+    rng: np.random.Generator | None = None,
+    start: Iterable[ShutterCode] = (),
     length_px: float | None = None,
     threads: int | None = None,
     progress: Callable[[float, ShutterCode], None] | None = None,
-) -> Found:
-    """Search a code, or count all codes for the best.
+) -> SearchOutcome:
+    """Search a code, or count all codes for the best; a limit or Ctrl-C returns the best so far.
+
+    Where a bundled proof covers the problem, its code is returned without a search.
 
     Parameters
     ----------
     problem : SearchProblem
     how : Search
-    start : sequence of ShutterCode
-        Codes to start an annealing from.
+        What the baselines take counts against the time, but for the half of it that an annealing
+        has in any case.
+    rng : numpy Generator, optional
+        Made of the seed of ``how`` when omitted.
+    start : iterable of ShutterCode
+        Codes to start an annealing from, besides the baselines.
     length_px : float, optional
         Of the path, for the length-only code among the baselines; of the problem's when omitted.
     threads : int, optional
@@ -110,35 +155,113 @@ def search(
 
     Returns
     -------
-    Found
+    SearchOutcome
         No baseline within the limits has a lower cost. Along a path a proof is over the band's
         samples, though: it stands, whatever a baseline is worth between them.
 
     Raises
     ------
     ValueError
-        If the problem is not one that the method solves.
+        If the problem is not one that the method solves, or a starting code has another length.
     """
-    rng = np.random.default_rng(how.seed)
+    rng = rng or np.random.default_rng(how.seed)
+    started = time.monotonic()
     if how.method == "exact":
-        return prove_code(
+        proven: ExactResult | None = exact(problem, threads=threads, progress=progress)
+    else:
+        proven = proven_optimum(problem)
+    for_baselines = rng
+    if proven is None:
+        # the search's draws must not depend on how many the baselines take
+        for_baselines, rng = rng.spawn(2)
+    # float64: candidates that are almost as good must not be ranked by rounding
+    judge = judging_objective(problem)
+    rivals: list[Baseline] = []
+    interrupted = False
+    try:
+        for baseline in find_baselines(
+            problem,
+            rng=for_baselines,
+            judge=judge,
+            length_px=length_px,
+            time_s=how.limit_s,
+            threads=threads,
+        ):
+            rivals.append(baseline)
+    except KeyboardInterrupt:
+        interrupted = True
+    if proven is not None:
+        return _proven_outcome(problem, proven, judge, rivals)
+    if interrupted:
+        # before the annealing: any code within the limits, if no baseline keeps them
+        code = ShutterCode.from_array(problem.random_codes(1, rng=rng)[0])
+        result = SearchResult(code, judge.exact_cost(code), 0.0, 0, "interrupted")
+    else:
+        left_s = how.limit_s - (time.monotonic() - started)
+        result = anneal(
             problem,
             rng=rng,
-            time_s=how.limit_s,
-            length_px=length_px,
+            steps=how.moves(problem),
+            time_s=max(left_s, _LEAST_SHARE * how.limit_s),
+            start=[*_starts(problem, rivals), *proven_starts(problem), *start],
             progress=progress,
             threads=threads,
+            judge=judge,
         )
-    return search_code(
-        problem,
-        rng=rng,
-        steps=how.moves(problem),
-        time_s=how.limit_s,
-        start=start,
-        length_px=length_px,
-        progress=progress,
-        threads=threads,
+    code, cost_db = _best_of(result.code, result.objective, rivals)
+    seconds = time.monotonic() - started
+    return SearchOutcome(code, cost_db, seconds, result.steps, result.stopped, tuple(rivals))
+
+
+def _proven_outcome(
+    problem: SearchProblem, proven: ExactResult, judge: Objective, rivals: Sequence[Baseline]
+) -> SearchOutcome:
+    """Return what a count of all codes came to; where Ctrl-C ended it, a rival may be better."""
+    code = proven.code
+    cost_db = judge.exact_cost(code)
+    # a proven code stands, though along a path a baseline may be better between the samples
+    if not proven.proven:
+        code, cost_db = _best_of(code, cost_db, rivals)
+    counted = 0  # by a proof that comes with the package
+    if isinstance(proven.proof, ProofLog):
+        counted = codes_to_count(problem)
+    return SearchOutcome(
+        code,
+        cost_db,
+        proven.seconds,
+        counted,
+        "proven" if proven.proven else "interrupted",
+        tuple(rivals),
+        proven.proof.to_dict(),
     )
+
+
+def _starts(problem: SearchProblem, rivals: Iterable[Baseline]) -> list[ShutterCode]:
+    """Return the baselines within the limits, and the nearest codes to the others."""
+    codes = []
+    for baseline in rivals:
+        if baseline.within_limits:
+            codes.append(ShutterCode.from_array(baseline.code.array != 0))
+            continue
+        # None where the walk's table would be too large: that start is left out
+        bits = nearest(problem.limits, baseline.code.array != 0)
+        if bits is not None:
+            codes.append(ShutterCode.from_array(bits))
+    return codes
+
+
+def _best_of(
+    code: ShutterCode, cost_db: float, rivals: Iterable[Baseline]
+) -> tuple[ShutterCode, float]:
+    """Return the cheapest, with its cost, of a code and the baselines within the limits."""
+    best = min(
+        (baseline for baseline in rivals if baseline.within_limits),
+        key=lambda baseline: baseline.cost_db,
+        default=None,
+    )
+    if best is None or best.cost_db >= cost_db:
+        return code, cost_db
+    return best.code, best.cost_db
 
 
 def described_search(

@@ -14,8 +14,8 @@ from cep.optics.band import ACROSS, straight_axis
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import SearchResult, anneal
+from cep.search.baselines import best_snapshot, best_strobe, evenly_some
 from cep.search.expected import WORTH_DB, ExpectedPsnr, collected_e, equal_light_noise, light_noise
-from cep.search.light import best_snapshot, best_strobe, evenly_some
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
@@ -253,7 +253,7 @@ class WayFinder:
             start=[code for code in starts if charged.allows(code)],
             threads=threads,
             judge=self._judge.for_problem(charged),
-            moved=self._moved.for_problem(charged),
+            coarse=self._moved.for_problem(charged),
             swaps=self._swaps,
         )
 

@@ -58,11 +58,11 @@ _NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     },
     "objectives": {name: criterion.cites for name, criterion in OBJECTIVES.items()},
     "search and proofs": {
-        "anneal": ("kirkpatrick1983", "glover1989", "gallardo2009"),
+        "anneal": ("kirkpatrick1983",),
         "exact": ("hare2021",),
         "pareto": ("paquete2004",),
         "frames": ("agrawal2009video",),
-        "bound": ("lovasz1991", "goemans1995", "benson2000", "mo2018", "hare2021"),
+        "bound": ("lovasz1991", "goemans1995", "benson2000", "mo2018"),
         "certificate": ("kantorovich1982", "ortega1968"),
     },
     "advice and cameras": {

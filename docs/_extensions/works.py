@@ -72,8 +72,8 @@ class Work:
 
         Examples
         --------
-        >>> work("glover1989").line
-        'Glover: *Tabu search, part I.* ORSA Journal on Computing 1, 1989.'
+        >>> work("kirkpatrick1983").line
+        'Kirkpatrick, Gelatt, Vecchi: *Optimization by simulated annealing.* Science 220, 1983.'
         """
         title = re.sub(r"(?<![.?!])$", ".", self.text("title"))
         return f"{', '.join(self.authors)}: *{title}* {self.venue}."

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from cep.optics.band import uniform_length_px
+from cep.search.problem import Scenario
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.files.trajectories import read_motion
 from motdiff.gyro import GyroTrace
@@ -20,6 +22,9 @@ OTHERS = 300
 
 WALKS = "walks"
 """Class of simulated hand shakes; another class is named by a gyro recording."""
+
+MOST_SCENARIOS = 256
+"""Most scenarios of a problem: a search looks at each of them in every move."""
 
 _MOTION = "trajectory.json"
 _LENGTH_PX = 60.0
@@ -167,3 +172,38 @@ def draw_motions(
             for _ in range(count)
         ]
     return tuple(path.thinned(_TOLERANCE_PX) for path in walks)
+
+
+def class_scenarios(motions: Iterable[Trajectory]) -> tuple[Scenario, ...]:
+    """Make a class of motions of equal weight; an unknown direction is in it both ways.
+
+    For a problem of the rule "mean" and the direction "forward": over a class the ways of a motion
+    are averaged as its motions are, while the other problems count the worse one.
+
+    Raises
+    ------
+    ValueError
+        If there are no motions, or the scenarios are too many.
+
+    Examples
+    --------
+    >>> bent = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
+    >>> straight = Trajectory.straight(20.0)
+    >>> [one.weight for one in class_scenarios([bent, straight])]
+    [0.5, 0.5, 1.0]
+    """
+    scenarios: list[Scenario] = []
+    for path in motions:
+        # the reverse of a uniform straight motion blurs as the motion does
+        if path.direction == "unknown" and uniform_length_px(path) is None:
+            scenarios += [Scenario(path, 0.5), Scenario(path.reversed(), 0.5)]
+        else:
+            scenarios.append(Scenario(path))
+    if not scenarios:
+        raise ValueError("motions: a class needs at least one")
+    if len(scenarios) > MOST_SCENARIOS:
+        raise ValueError(
+            f"scenarios: {len(scenarios)} are too many, at most {MOST_SCENARIOS}; take fewer"
+            " motions"
+        )
+    return tuple(scenarios)

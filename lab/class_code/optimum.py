@@ -10,8 +10,7 @@ from typing import Any
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.search.problem import SearchProblem
-from cep.search.recipe import Found
-from cep.search.search import Search, described_search, ended_early
+from cep.search.search import Search, SearchOutcome, described_search, ended_early
 
 PUBLISHED_PREFIX = "published: "
 _FEW = 20  # motions below which a class code has mostly learned them by heart
@@ -24,7 +23,7 @@ class ClassRow:
     Attributes
     ----------
     name : str
-        "this code", or of a :class:`cep.search.recipe.Baseline`.
+        "this code", or of a :class:`cep.search.baselines.Baseline`.
     code : ShutterCode
         A published one may have another number of chips, with the exposure as long.
     within_limits : bool
@@ -75,7 +74,7 @@ class ClassOptimum:
     problem : SearchProblem
         Of the rule "mean".
     how : Search
-    outcome : Found
+    outcome : SearchOutcome
     rows : tuple of ClassRow
         The code first, then what would be used instead of it.
     motions, held_out : int
@@ -84,7 +83,7 @@ class ClassOptimum:
 
     problem: SearchProblem
     how: Search
-    outcome: Found
+    outcome: SearchOutcome
     rows: tuple[ClassRow, ...]
     motions: int
     held_out: int

@@ -18,8 +18,8 @@ from cep.search.objective import Objective
 from cep.search.objectives import OBJECTIVES
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
-from cep.search.scenarios import class_scenarios
 from cep.search.search import Search, described_search, search
+from lab.class_code.motions import class_scenarios
 from lab.class_code.optimum import PUBLISHED_PREFIX, ClassOptimum, ClassRow
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

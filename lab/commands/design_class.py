@@ -78,9 +78,8 @@ def design_class(options: DesignClassOptions) -> None:
     Example: python -m lab design-class shots_motion --chips 40 --open 40%:60%
     """
     with progress("searching") as tick:
-        from cep.search.scenarios import class_scenarios
         from cep.search.search import Search
-        from lab.class_code.motions import motion_class
+        from lab.class_code.motions import class_scenarios, motion_class
         from lab.class_code.search import optimize_class
         from motdiff.files.outputs import claim
 

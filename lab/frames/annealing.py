@@ -36,10 +36,16 @@ from cep.search.annealing.anneal import (
     Stopped,
     hottest_db,
 )
-from cep.search.annealing.cooling import cool
+from cep.search.annealing.cooling import (
+    Chain,
+    best_codes,
+    cool,
+    new_chain,
+    own_tables,
+    refresh,
+)
 from cep.search.annealing.polish import BATCH, GAIN_DB, judging_objective, neighbours, otf_nearby
 from cep.search.annealing.proposals import Limits
-from cep.search.annealing.states import Chain, best_codes, new_chain, own_tables, refresh
 from cep.search.annealing.terms import BLOCK, Tables, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem

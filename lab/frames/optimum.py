@@ -14,16 +14,17 @@ from cep.optics.code import ShutterCode
 from cep.optics.mtf import HOPELESS_DB
 from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.anneal import Stopped
+from cep.search.baselines import mean_length_px
 from cep.search.expected import equal_light_noise, joint_psnr_db, light_noise
 from cep.search.optimize import certificate_warnings
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
-from cep.search.recipe import mean_length_px, search_code
 from cep.search.search import (
     NO_TIME_S,
     Search,
     described_search,
     ended_early,
+    search,
     searched_problem,
 )
 from cep.search.verdict import Verdict
@@ -294,11 +295,9 @@ def _search(
     moves = how.moves(problem)
     time_s = how.limit_s
     progress(0.0, "a single code")
-    single = search_code(
+    single = search(
         problem,
-        rng=np.random.default_rng(how.seed),
-        steps=moves,
-        time_s=time_s / 2,
+        replace(how, steps=moves, time_s=time_s / 2),
         length_px=length_px,
         progress=lambda share, best: progress(share / 2, f"a single code, {best.open_chips} open"),
     )

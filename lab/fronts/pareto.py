@@ -23,10 +23,8 @@ from numpy.typing import NDArray
 
 from cep.codes.published import for_chips
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import COOLING, MOST_SWAPS, REHEATED, Stopped, hottest_db
-from cep.search.annealing.chains import Crew
-from cep.search.annealing.cooling import Cooling
-from cep.search.annealing.tabu import Walks
+from cep.search.annealing.anneal import COOLING, REHEATED, Stopped, hottest_db, run_chains
+from cep.search.annealing.cooling import anneal_chain
 from cep.search.annealing.terms import Tables, lay_out
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
@@ -260,17 +258,17 @@ class _Search:
         starts = np.concatenate([good, random_codes])
         tables, hot = self._tables_of(share)
         seeds = [int(seed) for seed in self.rng.integers(1, 2**62, _CHAINS)]
-        walks = (
-            0
-            if archive.problem.limits_runs or self.problem.chips**2 // 4 > MOST_SWAPS
-            else _CHAINS // 2
-        )
-        plans: list[Cooling | Walks] = [
-            Cooling(code, hot * (REHEATED if place < len(good) else 1), hot / COOLING, moves, seed)
-            for place, (code, seed) in enumerate(zip(starts, seeds[walks:], strict=False))
-        ]
-        plans += [
-            Walks(pool if len(pool) else random_codes, moves, seed) for seed in seeds[:walks]
+        heats = [REHEATED * hot] * len(good) + [hot] * _CHAINS
+        chains = [
+            anneal_chain(
+                archive.problem,
+                tables,
+                code,
+                temperatures_db=(heat, hot / COOLING),
+                moves=moves,
+                seed=seed,
+            )
+            for code, heat, seed in zip(starts, heats, seeds, strict=False)
         ]
 
         def tick(made: int) -> bool:
@@ -279,7 +277,7 @@ class _Search:
             return True
 
         try:
-            Crew(archive.problem, tables, threads=self._threads).run(plans, tick, codes.append)
+            run_chains(chains, tick, codes.append, threads=self._threads)
         finally:
             archive.offer(np.concatenate([*codes, archive.codes[:0]]))
 

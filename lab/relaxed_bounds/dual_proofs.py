@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 from cep.optics.band import band_samples, straight_axis
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis, coded_otf
-from cep.search.bounds import count_bounds
-from cep.search.motion_basis import ROUNDING, MotionBasis, circle_average, circle_grid, gram
+from cep.search.bounds import (
+    ROUNDING,
+    MotionBasis,
+    circle_average,
+    circle_grid,
+    count_bounds,
+    gram,
+)
 from cep.search.problem import SearchProblem
 from lab.relaxed_bounds.relaxation import Relaxation, relax
 from motdiff.trajectory import Trajectory

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cep.search.motion_basis import mean_power
+from cep.search.bounds import mean_power
 from motdiff.types import FloatArray
 
 _GAP = 1e-4  # relative, where Newton stops; 0.0004 dB of the bound, which holds at any gap

@@ -22,7 +22,7 @@ import torch
 
 from cep.optics.code import ShutterCode
 from cep.search.problem import SearchProblem
-from cep.search.recipe import search_code
+from cep.search.search import Search, search
 from lab.studies.inputs import photos, smooth_trace
 from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import quick_search
@@ -87,7 +87,7 @@ def searched(path: Trajectory, seed: int) -> ShutterCode:
     problem = SearchProblem.along(
         path, chips=32, open_range=(10, 22), objective="mse", direction="unknown"
     )
-    return search_code(problem, rng=np.random.default_rng(seed), steps=20_000, time_s=600.0).code
+    return search(problem, Search(steps=20_000, seed=seed)).code
 
 
 def error_db(path: Trajectory, code: ShutterCode) -> float:

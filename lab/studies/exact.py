@@ -12,8 +12,7 @@ from __future__ import annotations
 import argparse
 import time
 
-from cep.search.exhaustive.exact import exact
-from cep.search.exhaustive.proof import ExactResult
+from cep.search.exhaustive.exact import ExactResult, exact
 from cep.search.problem import SearchProblem
 from lab.block_proofs.blocks import judge_block, plan_blocks
 

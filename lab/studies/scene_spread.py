@@ -23,10 +23,9 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.scene import PHOTO
 from cep.search.annealing.anneal import anneal
-from cep.search.light import best_snapshot, best_strobe
+from cep.search.baselines import best_snapshot, best_strobe
 from cep.search.objective import Objective
-from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario
+from cep.search.problem import Scenario, SearchProblem
 from lab.photo_gains.__main__ import CHIPS, SIDE_PX, motions, trial_of
 from lab.photo_gains.photographs import load_scenes
 from motdiff.trajectory import Trajectory
@@ -131,7 +130,7 @@ def searched_code(
         start=[code for code in starts if code is not None],
         threads=1,
         judge=levelled_objective(problem, levels_db, fine=True),
-        moved=coarse,
+        coarse=coarse,
     ).code
 
 

@@ -99,14 +99,13 @@ def proven(seconds: float, seed: int) -> None:
 
 def speed(seconds: float, seed: int) -> None:
     del seconds
-    from cep.search.annealing.chains import Crew
-    from cep.search.annealing.cooling import Cooling
+    from cep.search.annealing.cooling import anneal_chain
     from cep.search.annealing.terms import lay_out
 
     path = boracchi_foi(np.random.default_rng(seed))
     problem = SearchProblem.along(path, chips=52, objective="noise", direction="forward")
     coarse = Objective(problem, oversampling=8)
-    crew = Crew(problem, lay_out(coarse), threads=1)
+    tables = lay_out(coarse)
     code = problem.random_codes(1, rng=np.random.default_rng(seed))[0].astype(np.int8)
     columns = coarse.rows.shape[-1]
     print(f"| {columns} frequencies, one core | moves/s |\n|---|---|")
@@ -114,13 +113,17 @@ def speed(seconds: float, seed: int) -> None:
         started = time.thread_time()
         steps = 0
         best = code
-        for count, codes in crew._cooling(Cooling(code, 0.3, 0.1, moves, 1)):
+        for count, codes in anneal_chain(
+            problem, tables, code, temperatures_db=(0.3, 0.1), moves=moves, seed=1
+        ):
             steps = steps + count
             best = codes[0]
     print(f"| annealing | {steps / (time.thread_time() - started):.3g} |")
     started = time.thread_time()
     steps = 0
-    for count, _ in crew._cooling(Cooling(best, 0.05, 0.04, 1_000_000, 1)):
+    for count, _ in anneal_chain(
+        problem, tables, best, temperatures_db=(0.05, 0.04), moves=1_000_000, seed=1
+    ):
         steps += count
     print(f"| annealing, cold, at a good code | {steps / (time.thread_time() - started):.3g} |")
     started = time.thread_time()

@@ -8,8 +8,7 @@ from cep.optics.band import band_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis
 from cep.proofs.certify.minimum import min_chip
-from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario
+from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
 BOTH_GOALS = (("min-mtf", 1.0), ("noise", 1.0))

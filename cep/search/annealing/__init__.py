@@ -1,1 +1,1 @@
-"""Annealing chains, tabu walks and sweeps on compiled loops."""
+"""Annealing chains and sweeps on compiled loops."""

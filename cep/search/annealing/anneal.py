@@ -3,41 +3,38 @@
 from __future__ import annotations
 
 import math
+import os
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
+from threading import Event
 from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
-from cep.search.annealing.chains import Crew
-from cep.search.annealing.cooling import Cooling
+from cep.search.annealing.cooling import anneal_chain
 from cep.search.annealing.polish import Polished, judging_objective, polish
-from cep.search.annealing.sweeps import Sweeps, sweep_tables, swept
-from cep.search.annealing.tabu import Walks
+from cep.search.annealing.sweeps import sweep_tables, sweeps, swept
 from cep.search.annealing.terms import lay_out
 from cep.search.objective import Objective, sample_count
 from cep.search.problem import SearchProblem
 from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
+ChainSlices = Iterator[tuple[int, Codes]]
+"""A chain: after every slice the moves made in it, and the (R, n) best codes so far."""
 Progress = Callable[[float, ShutterCode], None]
-# temperatures, shares of walks and numbers of moves were measured: docs/decisions/search.md
+# temperatures and numbers of moves were measured: docs/decisions/search.md
 SEARCH_OVERSAMPLING = 8  # of the moves; what they find is judged on finer samples
 _HOT_CHIPS = 52  # these temperatures are for so many chips; fewer are at most so much hotter
 _HOTTEST = 4.0
 COOLING = 3.0  # hottest over coldest
-_WALKS_STRAIGHT = 6  # chains of later rounds that walk instead
-_WALKS_OTHERS = 2  # along curves annealing wins
-_SHORT = 64  # chips up to which walks find better codes than cooling on straight motion
-MOST_SWAPS = 2**12  # chips up to which every neighbour is evaluated in each step
 REHEATED = 0.6  # temperature over the hottest, of chains that start from the best codes
 _SWEPT = 0.28  # the same of sweeps, all the time
 _ELITES = 32  # codes kept for the polish, which evaluates each on the fine grid
-_POOL = 8  # of the best, from which walks start
 _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a better code
 # the same number for sweeps, which take the time of a sixteenth of other moves
 _SWEPT_MOVES = 2**29
@@ -55,6 +52,7 @@ _LONGEST_SWEPT = 2**26  # the same in sweeps
 # of the time limit, or seconds if that is more: what the polish may take on top
 _POLISH_SHARE = 0.1
 _POLISH_S = 0.5
+_TICK_S = 0.1  # between two looks of the caller at running chains
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,7 @@ def anneal(
     progress: Progress | None = None,
     threads: int | None = None,
     judge: Objective | None = None,
-    moved: Objective | None = None,
+    coarse: Objective | None = None,
     swaps: bool = True,
 ) -> SearchResult:
     """Search a code; anytime: a limit or Ctrl-C returns the best so far.
@@ -146,7 +144,7 @@ def anneal(
         As many as there are cores when omitted; the outcome does not depend on it.
     judge : Objective, optional
         The problem's on 64 samples per 1 / extent in float64, where it has been made already.
-    moved : Objective, optional
+    coarse : Objective, optional
         The problem's on 8 samples per 1 / extent in float32, by which the moves are judged, where
         it has been made already.
     swaps : bool
@@ -167,7 +165,7 @@ def anneal(
     starts = [code.array for code in start]
     if any(bits.size != problem.chips for bits in starts):
         raise ValueError(f"start: every code must have {problem.chips} chips")
-    ranking = coarse = moved or Objective(problem, oversampling=SEARCH_OVERSAMPLING)
+    ranking = coarse = coarse or Objective(problem, oversampling=SEARCH_OVERSAMPLING)
     longest = _LONGEST
     if swept(problem):
         # what is best on the coarse samples need not be so between them
@@ -178,6 +176,9 @@ def anneal(
     elites.offer(seeds[problem.satisfied(seeds)])
     stopped: Stopped = "complete"
 
+    def offer(codes: Codes) -> None:
+        elites.offer(codes[problem.satisfied(codes)])
+
     def tick(moves: int) -> bool:
         budget.moves += moves
         if progress is not None:
@@ -186,14 +187,13 @@ def anneal(
 
     try:
         if _movable(problem, elites.ranked()[0]):
-            crews = _crews(coarse, judge, threads)
+            chains_of_round = _chains(coarse, judge, elites, rng)
             # the samples of a class of motions may take longer than the whole limit
             budget.start_s = time.monotonic()
             round_number = 0
             while budget.remains():
                 moves = budget.chain(round_number, longest=longest)
-                plans = _plans(problem, elites, moves, rng, first=round_number == 0)
-                crews[round_number % len(crews)].run(plans, tick, elites.offer)
+                run_chains(chains_of_round(round_number, moves), tick, offer, threads=threads)
                 round_number += 1
             stopped = budget.stopped()
     except KeyboardInterrupt:
@@ -238,49 +238,107 @@ def _movable(problem: SearchProblem, code: Codes) -> bool:
     return low < high or np.unique(code).size == 2
 
 
-def _crews(coarse: Objective, judge: Objective | None, threads: int | None) -> list[Crew]:
-    """Return a crew for the objective, and of a mix one for each of its parts before it."""
+def _chains(
+    coarse: Objective, judge: Objective | None, elites: Elites, rng: np.random.Generator
+) -> Callable[[int, int], list[ChainSlices]]:
+    """Lay out tables for the compiled loops; returns what makes the chains of a round.
+
+    It is called with the number of the round and the moves of each chain.
+    """
     problem = coarse.problem
-    sweeping = None
+    hot = hottest_db(problem)
     if judge is not None and swept(problem):
         sweeping = sweep_tables(coarse, judge)
-    objectives = [coarse]
+
+        def sweep_round(_round_number: int, moves: int) -> list[ChainSlices]:
+            return [
+                sweeps(problem, sweeping, moves=moves, temperature_db=_SWEPT * hot, seed=int(seed))
+                for seed in rng.integers(1, 2**62, CHAINS)
+            ]
+
+        return sweep_round
+    tables = [lay_out(coarse)]
     if len(problem.objective_mix) > 1:
         # a part alone is one sum, by which a move is judged many times as fast
-        objectives = [*(coarse.instead(name) for name, _ in problem.objective_mix), coarse]
-    return [Crew(o.problem, lay_out(o), threads=threads, sweeping=sweeping) for o in objectives]
+        tables = [*(lay_out(coarse.instead(name)) for name, _ in problem.objective_mix), *tables]
+
+    def cooling_round(round_number: int, moves: int) -> list[ChainSlices]:
+        codes = problem.random_codes(CHAINS, rng=rng).astype(np.int8)
+        best = elites.ranked()
+        # the others from anywhere: starts may all lie in one valley
+        leaders = min(len(best), CHAINS // 2)
+        codes[:leaders] = best[:leaders]
+        heats = [hot] * CHAINS
+        if round_number:
+            heats[:leaders] = [REHEATED * hot] * leaders
+        return [
+            anneal_chain(
+                problem,
+                tables[round_number % len(tables)],
+                code,
+                temperatures_db=(heat, hot / COOLING),
+                moves=moves,
+                seed=int(seed),
+            )
+            for code, heat, seed in zip(codes, heats, rng.integers(1, 2**62, CHAINS), strict=True)
+        ]
+
+    return cooling_round
 
 
-def _plans(
-    problem: SearchProblem, elites: Elites, moves: int, rng: np.random.Generator, *, first: bool
-) -> list[Cooling | Walks | Sweeps]:
-    """Plan a round: sweeps; or chains that cool, from the best and from anywhere, and walks."""
-    hot = hottest_db(problem)
-    if swept(problem):
-        return [Sweeps(moves, _SWEPT * hot, int(seed)) for seed in rng.integers(1, 2**62, CHAINS)]
-    walks = 0
-    if not (first or problem.limits_runs or problem.chips**2 // 4 > MOST_SWAPS):
-        straight = all(
-            straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios
-        )
-        walks = _WALKS_OTHERS
-        if straight and problem.chips <= _SHORT:
-            walks = _WALKS_STRAIGHT
-    cooled = CHAINS - walks
-    codes = problem.random_codes(cooled, rng=rng).astype(np.int8)
-    best = elites.ranked()
-    # the others from anywhere: starts may all lie in one valley
-    leaders = min(len(best), cooled // 2)
-    codes[:leaders] = best[:leaders]
-    seeds = [int(seed) for seed in rng.integers(1, 2**62, CHAINS)]
-    heats = [hot] * cooled
-    if not first:
-        heats[:leaders] = [REHEATED * hot] * leaders
-    chains = [
-        Cooling(code, heat, hot / COOLING, moves, seed)
-        for code, heat, seed in zip(codes, heats, seeds, strict=False)
-    ]
-    return [*chains, *(Walks(best[:_POOL], moves, seed) for seed in seeds[cooled:])]
+def run_chains(
+    chains: Sequence[ChainSlices],
+    tick: Callable[[int], bool],
+    offer: Callable[[Codes], None],
+    *,
+    threads: int | None = None,
+) -> None:
+    """Run chains on threads, and offer the best codes of each, whatever ends them.
+
+    Parameters
+    ----------
+    chains : sequence of iterators
+        As of :data:`ChainSlices`.
+    tick : callable
+        Called about ten times a second with the moves made since the last call; False stops the
+        chains. It may raise.
+    offer : callable
+        Called with the (R, n) codes of every chain.
+    threads : int, optional
+        As many as the processor has cores when omitted. The outcome does not depend on it.
+    """
+    stop = Event()
+    moves_made = [0] * len(chains)
+
+    def run_chain(index: int) -> Codes:
+        best: Codes | None = None
+        for moves, codes in chains[index]:
+            moves_made[index] += moves
+            best = codes
+            if stop.is_set():
+                break
+        assert best is not None  # a chain makes at least one slice
+        return best
+
+    with ThreadPoolExecutor(threads or os.cpu_count() or 1) as pool:
+        jobs = [pool.submit(run_chain, index) for index in range(len(chains))]
+        try:
+            reported = 0
+            waiting = set(jobs)
+            while waiting:
+                _, waiting = wait(waiting, timeout=_TICK_S, return_when=FIRST_COMPLETED)
+                total = sum(moves_made)
+                news = total - reported
+                reported = total
+                if not tick(news):
+                    break
+        finally:
+            stop.set()
+            # in the chains' order, so that the outcome does not depend on who is faster
+            for job in jobs:
+                offer(job.result())
+        if (late := sum(moves_made) - reported) > 0:  # a stopped chain ends its slice first
+            tick(late)
 
 
 @dataclass

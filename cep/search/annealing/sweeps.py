@@ -10,7 +10,6 @@ divided into chains (docs/decisions/search.md).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -33,23 +32,6 @@ _DIPS = 16  # frequencies at most at which moves are refused
 _SHALLOW = 3.0  # times the smallest |P|^2: dips above it refuse few moves
 _KEPT = 8  # last and best codes of a run, which are offered: an exact objective ranks them
 _TINY = np.float32(1e-9)  # of |H|^2: its fourth power must not overflow
-
-
-@dataclass(frozen=True)
-class Sweeps:
-    """Chains of sweeps one after the other, from random codes.
-
-    Attributes
-    ----------
-    moves : int
-        Moves to judge in all.
-    temperature_db : float
-    seed : int
-    """
-
-    moves: int
-    temperature_db: float
-    seed: int
 
 
 class SweepTables(NamedTuple):
@@ -104,33 +86,28 @@ def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
 
 
 def sweeps(
-    problem: SearchProblem, tables: SweepTables, plan: Sweeps
+    problem: SearchProblem, tables: SweepTables, *, moves: int, temperature_db: float, seed: int
 ) -> Iterator[tuple[int, Codes]]:
-    """Yield the moves made and the (R, n) best codes after every slice of moves."""
-    rng = np.random.default_rng(plan.seed)
+    """Yield the moves made and the (R, n) best codes after every slice of moves.
+
+    Chains follow one another, each from a random code.
+    """
+    rng = np.random.default_rng(seed)
     random = np.array([int(rng.integers(1, 2**62)) | 1], dtype=np.uint64)
     deepest = np.zeros(1)
     elites = np.empty((0, problem.chips), np.int8)
     total = 0
-    while total < plan.moves:
+    while total < moves:
         code = problem.random_codes(1, rng=rng)[0].astype(np.int8)
-        until = min(plan.moves, total + _CHAIN)
+        until = min(moves, total + _CHAIN)
         while total < until:
             best = np.empty((_KEPT, problem.chips), np.int8)
             count = np.zeros(1, np.int64)
-            moves = sweep(
-                tables,
-                code,
-                random,
-                plan.temperature_db,
-                min(_SLICE, until - total),
-                deepest,
-                best,
-                count,
-            )
-            total += moves
+            slice_moves = min(_SLICE, until - total)
+            judged = sweep(tables, code, random, temperature_db, slice_moves, deepest, best, count)
+            total += judged
             elites = np.concatenate([elites, best[: count[0]]])[-_KEPT:]
-            yield moves, elites
+            yield judged, elites
 
 
 @inlined

@@ -18,10 +18,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, as_completed
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from os import cpu_count
 from threading import Lock
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,14 +31,13 @@ from cep.optics.band import band_samples, circle_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis
 from cep.proofs.certify.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
+from cep.search.annealing.anneal import anneal
 from cep.search.annealing.proposals import Limits
 from cep.search.exhaustive.blocks import MARGIN, Scanner, Tables
-from cep.search.exhaustive.proof import ExactResult, LengthLog, ProofLog
 from cep.search.exhaustive.scan import BYTES, INNER, dot
 from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.uint64]
-Patterns = NDArray[np.int8]
 Progress = Callable[[float, ShutterCode], None]
 _SLICE = 2**30  # codes between looks at Ctrl-C: a tenth of a second
 _SLICES = 128  # at least, of a long proof, so that a better code helps it
@@ -46,13 +46,150 @@ _FIRST_ROUND = 16
 _GROWTH = 1.01  # of the limit, at which the scan's tables are made again
 # minima as close as this are equal: the brighter code wins, then the shorter, then the first bits
 _TIE = 1e-9
-_RESTARTS = 16  # random codes from which the first limit is climbed to
-_CLIMBED = 20  # chips below which no climb is needed
-_SEEN = 256  # frequencies at which a climb judges: it only has to be good, the scan proves
+_ANNEALED = 20  # chips from which an annealing gives the first limit
+_ANNEALED_MOVES = 2**18  # its code only has to be good, the scan proves
 _OVERSAMPLING = 8  # frequencies per 1 / chips on the unit circle
 _BATCH = 2**13  # codes judged at once
 _DARK = 1e-9  # |H| at which no code passes anything
-_LEAST = 1e-6  # relative gain of a step
+
+
+@dataclass(frozen=True)
+class LengthLog:
+    """Counts for the codes of one length (all codes, along a trajectory).
+
+    Attributes
+    ----------
+    length : int
+        Chips between the first and the last open one.
+    codes : int
+        Codes of that length, each way round counted.
+    judged : int
+        Codes within the limit on light that the scan took up: mirror images mostly once, and none
+        that break a run limit in their first, last or middle chips.
+    left_by_tables, kept_runs, left_by_samples : int
+        Of these, how many the bit tables left, kept every run limit, and were not below the limit
+        at any sample. The last are judged one by one.
+    complete : bool
+    """
+
+    length: int
+    codes: int
+    judged: int = 0
+    left_by_tables: int = 0
+    kept_runs: int = 0
+    left_by_samples: int = 0
+    complete: bool = False
+
+    def grown(self, counts: NDArray[np.int64]) -> LengthLog:
+        """Log after another range of heads."""
+        scanned, by_tables, within_runs, by_samples = (int(count) for count in counts)
+        return replace(
+            self,
+            judged=self.judged + scanned,
+            left_by_tables=self.left_by_tables + by_tables,
+            kept_runs=self.kept_runs + within_runs,
+            left_by_samples=self.left_by_samples + by_samples,
+        )
+
+
+@dataclass(frozen=True)
+class ProofLog:
+    """Log of a proof, sufficient to repeat it.
+
+    Attributes
+    ----------
+    chips : int
+    limits : dict
+        Limits on light and runs.
+    domain : str
+        Frequencies of the minimum.
+    lengths : tuple of LengthLog
+    margin : float
+        Relative rounding allowance: codes are discarded below (1 - margin) times the best code's
+        certified minimum.
+    bits : str
+        Best code.
+    lower, upper : float
+        The largest minimum lies between them; ``upper`` is Parseval's bound until the proof is
+        complete.
+    versions : dict
+    """
+
+    chips: int
+    limits: dict[str, int | str | None]
+    domain: str
+    lengths: tuple[LengthLog, ...]
+    margin: float
+    bits: str
+    lower: float
+    upper: float
+    versions: dict[str, str]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every code was accounted for."""
+        return all(entry.complete for entry in self.lengths)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BundledLog:
+    """What a proof covers that was made before and comes with the package.
+
+    Attributes
+    ----------
+    chips : int
+        Most chips of the codes that it covers.
+    limits : dict
+    domain : str
+    file : str
+        The proof, or the page with its table, in the documentation.
+    bits : str
+        Best code.
+    lower, upper : float
+        The largest minimum lies between them.
+    judged : int
+        Codes judged in this run.
+    """
+
+    chips: int
+    limits: dict[str, int | str | None]
+    domain: str
+    file: str
+    bits: str
+    lower: float
+    upper: float
+    judged: int = 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Fields for JSON."""
+        return asdict(self)
+
+
+@dataclass(frozen=True)
+class ExactResult:
+    """The best code of all, or the best so far.
+
+    Attributes
+    ----------
+    code : ShutterCode
+    minimum : Minimum
+        Of |P| on the unit circle in chips, or of |H| over the band along the worst of the
+        problem's trajectories.
+    proof : ProofLog or BundledLog
+    seconds : float
+    proven : bool
+        Whether no code is better; False when interrupted.
+    """
+
+    code: ShutterCode
+    minimum: Minimum
+    proof: ProofLog | BundledLog
+    seconds: float
+    proven: bool
 
 
 def codes_to_count(problem: SearchProblem) -> int:
@@ -107,7 +244,7 @@ def exact(
     best = BestCode(problem)
     proof = _Proof(best)
     try:
-        best.climb()
+        best.anneal()
         proof.count(progress, threads or cpu_count() or 1)
     except KeyboardInterrupt:
         pass  # the log says what is missing
@@ -321,24 +458,14 @@ class BestCode:
         worst = min(minima, key=lambda minimum: minimum.upper)
         return replace(worst, lower=min(minimum.lower for minimum in minima))
 
-    def climb(self) -> None:
-        """Climb from random codes, for a good limit from the start: the outcome is the same."""
-        if self.problem.chips < _CLIMBED:
+    def anneal(self) -> None:
+        """Offer an annealed code, for a good limit from the start: the outcome is the same."""
+        if self.problem.chips < _ANNEALED:
             return
-        rng = np.random.default_rng(0)
-        sample = self.basis[:, rng.permutation(self.basis.shape[1])[:_SEEN]]
-        # where few codes keep the limits, one pulse may be among them
-        single = np.eye(self.problem.chips, dtype=np.int8)[[0, self.problem.chips // 2]]
-        single = single[self.problem.satisfied(single)]
-        starts = [*self.problem.random_codes(_RESTARTS, rng=rng), *single]
-        for code in starts:
-            self.offer(packed(climbed(code, sample, self.problem.satisfied)))
-
-
-def packed(code: Patterns) -> Codes:
-    """Pack a code into a word, the first chip in its lowest bit."""
-    places = np.arange(code.size, dtype=np.uint64)
-    return np.array([(code.astype(np.uint64) << places).sum()], dtype=np.uint64)
+        annealed = anneal(self.problem, rng=np.random.default_rng(0), steps=_ANNEALED_MOVES)
+        self.offer(np.array([int(annealed.code.bits[::-1], 2)], dtype=np.uint64))
+        if annealed.stopped == "interrupted":
+            raise KeyboardInterrupt
 
 
 def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
@@ -358,34 +485,3 @@ def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
 def _rank(bits: str) -> tuple[int, int, str]:
     """Sort codes of equal minima: brighter, then shorter, then those that open earlier."""
     return bits.count("1"), -len(bits.strip("0")), bits
-
-
-def climbed(
-    code: Patterns,
-    basis: NDArray[np.complex128],
-    satisfied: Callable[[Patterns], NDArray[np.bool_]],
-) -> Patterns:
-    """Flip the one or two chips that raise the smallest |H| most, for as long as any do.
-
-    Parameters
-    ----------
-    code : (n,) int8
-    basis : (n, Q) complex
-        Contribution of each chip at each frequency.
-    satisfied : callable
-        Which of (R, n) codes may be visited.
-    """
-    first, second = np.triu_indices(code.size)
-    best = -1.0
-    while True:
-        neighbours = np.repeat(code[None], first.size, axis=0)
-        rows = np.arange(first.size)
-        neighbours[rows, first] ^= 1
-        # a pair of one chip and itself is a single flip
-        neighbours[rows, second] ^= (first != second).astype(np.int8)
-        neighbours = neighbours[satisfied(neighbours)]
-        lowest = np.abs(dot(neighbours, basis)).min(axis=1, initial=np.inf)
-        if not len(neighbours) or lowest.max() <= best + _LEAST * abs(best):
-            return code
-        code = neighbours[lowest.argmax()]
-        best = float(lowest.max())

@@ -4,7 +4,6 @@ estimate, or the truth.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,11 +11,11 @@ import numpy as np
 from cep.codes.published import DCE_CODE, published
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.search.light import best_snapshot, best_strobe, dnf_problem, median_random_code
+from cep.search.baselines import best_snapshot, best_strobe, dnf_problem, median_random_code
 from cep.search.objective import Objective
-from cep.search.problem import SearchProblem
-from cep.search.recipe import search_code
-from cep.search.scenarios import Scenario, class_scenarios
+from cep.search.problem import Scenario, SearchProblem
+from cep.search.search import Search, search
+from lab.class_code.motions import class_scenarios
 from motdiff.trajectory import Trajectory
 
 
@@ -171,9 +170,7 @@ def design_code(
 
 
 def _searched(problem: SearchProblem, *, steps: int, rng: np.random.Generator) -> ShutterCode:
-    result = search_code(
-        problem, rng=rng, steps=steps, time_s=math.inf, threads=1
-    )  # other cells run beside
+    result = search(problem, Search(steps=steps), rng=rng, threads=1)  # other cells run beside
     if result.stopped == "interrupted":
         # an interrupted search had a smaller budget than the others, and cells are cached
         raise KeyboardInterrupt

@@ -32,15 +32,15 @@ _ESTIMATED: dict[str, tuple[str, tuple[Path, ...]]] = {
     "motdiff": ("motdiff.estimators.motdiff", MOTDIFF_FILES),
     "parametric": ("lab.rivals.parametric", (PATH_WEIGHTS,)),
 }
-_LIGHT = "cep.search.light"
+_BASELINES = "cep.search.baselines"
 _PUBLISHED = "cep.codes.published"
-_SEARCHED = ("cep.search.annealing.anneal", _LIGHT, _PUBLISHED)  # searches start from both
+_SEARCHED = ("cep.search.annealing.anneal", _BASELINES, _PUBLISHED)  # searches start from both
 _CHOSEN = {
     "open": ("cep.optics.code",),
-    "snapshot": (_LIGHT,),
-    "class-snapshot": (_LIGHT,),
-    "strobe": (_LIGHT,),
-    "random": (_LIGHT,),
+    "snapshot": (_BASELINES,),
+    "class-snapshot": (_BASELINES,),
+    "strobe": (_BASELINES,),
+    "random": (_BASELINES,),
     "raskar-52": (_PUBLISHED,),
     "dnf": _SEARCHED,
     "dce": (_PUBLISHED,),

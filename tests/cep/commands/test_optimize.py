@@ -262,11 +262,11 @@ def test_a_comparison_that_the_time_ended_is_told(cep, workplace, monkeypatch):
     """Long codes: their baselines may take a quarter of the time."""
     limits = []
 
-    def cut_short(_length_px, chips, *, time_s, **_options):
+    def cut_short(problem, *, time_s, **_options):
         limits.append(time_s)
-        return SimpleNamespace(code=ShutterCode("1" * chips), stopped="time")
+        return SimpleNamespace(code=ShutterCode("1" * problem.chips), stopped="time")
 
-    monkeypatch.setattr("cep.search.recipe.dnf_search", cut_short)
+    monkeypatch.setattr("cep.search.baselines.anneal", cut_short)
     searched = ["optimize", "--linear", "12", "--chips", "12", "--steps", "500", "--time", "9"]
     found = cep.succeeds(*searched, "--force")
     assert limits == [2.25]
@@ -298,7 +298,7 @@ def budgets(monkeypatch):
 
         return search
 
-    for name in ("cep.search.recipe.anneal", "lab.frames.optimum.anneal_frames"):
+    for name in ("cep.search.search.anneal", "lab.frames.optimum.anneal_frames"):
         module, function = name.rsplit(".", 1)
         monkeypatch.setattr(name, hasty(getattr(importlib.import_module(module), function)))
     return seen

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
-from cep.search.bounds import bound, chip_ceilings
-from cep.search.motion_basis import circle_average
+from cep.search.bounds import bound, chip_ceilings, circle_average
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 
@@ -30,7 +29,7 @@ def test_no_code_passes_a_bound(name):
     st.integers(2, 40).flatmap(lambda n: st.tuples(st.just(n), st.integers(1, n))),
     st.integers(0, 99),
 )
-@settings(deadline=None)  # the counts in classes are tabulated at the first use
+@settings(deadline=None)  # the proven minima are computed at the first use
 def test_closed_forms_hold_for_random_codes(size, seed):
     chips, k = size
     bits = np.zeros(chips)
@@ -42,18 +41,19 @@ def test_closed_forms_hold_for_random_codes(size, seed):
 
 def test_known_minima_and_theorem():
     """Barker-13 (k = 9) has 1.362373; the first code above 2 has 39 chips, so 38 are bounded by 2
-    and 39 are not."""
+    and 39 are not (Hare and Jankauskas, arXiv 1910.13994)."""
     barker = SearchProblem(chips=13, open_range=(9, 9))
-    assert 1.362373 <= bound(barker).min_chip <= 2
-    assert bound(SearchProblem(chips=38)).min_chip == 2
-    assert bound(SearchProblem(chips=38)).method["min_chip"] == "degree-38"
+    assert bound(barker).min_chip == pytest.approx(1.362373, abs=1e-5)
+    assert bound(SearchProblem(chips=38)).min_chip <= 2
+    assert bound(SearchProblem(chips=38)).method["min_chip"] == "proven"
     assert bound(SearchProblem(chips=39)).min_chip > 2.018
     assert bound(SearchProblem(chips=52, open_range=(26, 26))).min_chip == pytest.approx(
-        np.sqrt(26 * 26 / 51)
+        2.242270, abs=2e-6
+    )
+    assert bound(SearchProblem(chips=60, open_range=(30, 30))).min_chip == pytest.approx(
+        np.sqrt(30 * 30 / 59)
     )
     assert bound(SearchProblem(chips=1)).min_chip == 1
-    # 4 of 8: the counts of even and odd places alone say more than Parseval
-    assert bound(SearchProblem(chips=8, open_range=(4, 4))).method["min_chip"] == "roots-of-unity"
 
 
 def test_circle_average_keeps_what_a_finer_grid_sees():

@@ -5,9 +5,8 @@ import numpy as np
 import pytest
 
 from cep.optics.code import ShutterCode
-from cep.search.compare import compare
+from cep.search.baselines import compare, find_baselines
 from cep.search.problem import SearchProblem
-from cep.search.recipe import baselines
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -19,7 +18,7 @@ def test_every_row_is_measured_and_marked():
     )
     code = ShutterCode("1111100110101")
     first, *others = compare(
-        problem, code, baselines=baselines(problem, rng=np.random.default_rng(1))
+        problem, code, baselines=find_baselines(problem, rng=np.random.default_rng(1))
     )
     assert (first.name, first.code, first.within_limits) == ("this code", code, True)
     for row in (first, *others):
@@ -32,6 +31,6 @@ def test_every_row_is_measured_and_marked():
 def test_the_chip_time_is_kept():
     problem = SearchProblem.along(BENT, chips=9)
     code = ShutterCode("110100011", 250_000)
-    rows = compare(problem, code, baselines=baselines(problem, rng=np.random.default_rng(1)))
+    rows = compare(problem, code, baselines=find_baselines(problem, rng=np.random.default_rng(1)))
     assert rows[0].metrics == problem.measure(code)
     assert {row.code.chip_ns for row in rows} == {250_000}

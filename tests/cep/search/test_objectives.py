@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from works import works
 
-from cep.search.annealing.states import fresh_otf, total_cost
+from cep.search.annealing.cooling import fresh_otf, total_cost
 from cep.search.annealing.terms import BLOCK, lay_out
 from cep.search.objective import Objective
 from cep.search.objectives import OBJECTIVES, RECIPROCAL, STEEP, Criterion

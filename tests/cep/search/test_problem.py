@@ -15,8 +15,7 @@ from cep.optics.response import ShutterResponse
 from cep.proofs.measure import measure, worst_of
 from cep.search.feasibility import feasible
 from cep.search.limits import Limits, RunLimits
-from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario
+from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])

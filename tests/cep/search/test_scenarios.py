@@ -8,12 +8,7 @@ from hypothesis import strategies as st
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_rows, coded_otf
 from cep.optics.response import ShutterResponse
-from cep.search.scenarios import (
-    MOST_SCENARIOS,
-    Scenario,
-    class_scenarios,
-    speed_range,
-)
+from cep.search.problem import Scenario, speed_range
 from motdiff.trajectory import Trajectory
 
 CODE = ShutterCode("1011000101")
@@ -59,8 +54,6 @@ def test_the_reversed_path_plays_the_code_in_its_own_order(response):
         (lambda: speed_range(BENT, 0.0, 1.0, 2), "factors must be above 0"),
         (lambda: speed_range(BENT, 2.0, 1.0, 2), "in order"),
         (lambda: speed_range(BENT, 1.0, 2.0, 1), "at least 2"),
-        (lambda: class_scenarios([]), "motions: a class needs at least one"),
-        (lambda: class_scenarios([BENT] * 129), f"258 are too many, at most {MOST_SCENARIOS}"),
     ],
 )
 def test_bad_scenarios_are_named(make, words):

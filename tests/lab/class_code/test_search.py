@@ -16,9 +16,8 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
 from cep.search.annealing import anneal
 from cep.search.problem import OBJECTIVES, SearchProblem
-from cep.search.scenarios import MOST_SCENARIOS, class_scenarios
 from cep.search.search import Search
-from lab.class_code.motions import draw_motions
+from lab.class_code.motions import MOST_SCENARIOS, class_scenarios, draw_motions
 from lab.class_code.search import check_class, optimize_class, per_motion_db
 from motdiff.trajectory import Trajectory
 

@@ -12,16 +12,15 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path
 from cep.optics.response import ShutterResponse
 from cep.search.annealing.anneal import anneal
-from cep.search.annealing.cooling import cool
-from cep.search.annealing.proposals import Limits
-from cep.search.annealing.states import (
+from cep.search.annealing.cooling import (
+    cool,
     fresh_otf,
     new_chain,
     smallest_power,
     total_cost,
     worst_first,
 )
-from cep.search.annealing.tabu import walk
+from cep.search.annealing.proposals import Limits
 from cep.search.annealing.terms import BLOCK
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
@@ -277,12 +276,8 @@ def test_moves_in_several_frames_keep_the_books(name):
     limits = Limits.of(problem)._replace(low=2 * low, high=2 * high)
     free = np.arange(2 * problem.chips)
     work = np.empty((3, BLOCK), np.float32)
-    held = np.zeros(12, np.int64)
-    for turn in range(10):
-        if turn % 2:
-            cool(tables, limits, chain, free, work, np.array([1.0, 0.5]), 40)
-        else:
-            walk(tables, limits, chain, work, held, turn, 3)
+    for _ in range(10):
+        cool(tables, limits, chain, free, work, np.array([1.0, 0.5]), 40)
         claimed = chain.cost[0]
         otf = chain.otf.copy()
         fresh_otf(tables, chain.code, problem.chips, chain.otf)

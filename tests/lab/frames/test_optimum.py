@@ -36,7 +36,7 @@ def test_frames_gain_at_least_what_the_single_code_repeated_gains(tmp_path):
 
 
 def test_the_method_is_checked_before_the_search(monkeypatch):
-    monkeypatch.setattr("lab.frames.optimum.search_code", None)  # not called
+    monkeypatch.setattr("lab.frames.optimum.search", None)  # not called
     with pytest.raises(ValueError, match=r"^frames: not valid with method='exact'"):
         optimize_frames(PROBLEM, Search(method="exact"), 2)
 

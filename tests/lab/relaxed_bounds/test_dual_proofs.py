@@ -9,8 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cep.optics.response import ShutterResponse
-from cep.search.bounds import bound
-from cep.search.motion_basis import gram, largest_forms
+from cep.search.bounds import bound, gram, largest_forms
 from cep.search.problem import SearchProblem
 from lab.relaxed_bounds import dual_proofs
 from lab.relaxed_bounds.dual_proofs import form_matrix, largest_form, relaxed_bound

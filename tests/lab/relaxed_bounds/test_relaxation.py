@@ -5,7 +5,7 @@ import pytest
 from bounded_problems import all_codes, arc
 
 from cep.optics.exposure import chip_basis
-from cep.search.motion_basis import gram, largest_forms
+from cep.search.bounds import gram, largest_forms
 from lab.relaxed_bounds.dual_proofs import largest_form
 from lab.relaxed_bounds.relaxation import relax
 

@@ -17,8 +17,7 @@ from cep.search.annealing.proposals import Limits, keeps_runs
 from cep.search.bounds import bound
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
-from cep.search.problem import OBJECTIVES, SearchProblem, open_range_of_duty
-from cep.search.scenarios import Scenario
+from cep.search.problem import OBJECTIVES, Scenario, SearchProblem, open_range_of_duty
 from motdiff.trajectory import Trajectory
 
 

@@ -1,5 +1,4 @@
-"""The compiled loops: costs against the plain arithmetic, moves against the limits, walks against
-every neighbour."""
+"""The compiled loops: costs against the plain arithmetic, moves against the limits."""
 
 from dataclasses import replace
 
@@ -7,23 +6,21 @@ import numpy as np
 import pytest
 
 from cep.optics.response import ShutterResponse
-from cep.search.annealing.chains import Crew
-from cep.search.annealing.cooling import Cooling, cool
-from cep.search.annealing.polish import neighbours
-from cep.search.annealing.proposals import Limits
-from cep.search.annealing.states import (
+from cep.search.annealing.anneal import run_chains
+from cep.search.annealing.cooling import (
+    anneal_chain,
+    cool,
     fresh_otf,
     new_chain,
     smallest_power,
     total_cost,
     worst_first,
 )
-from cep.search.annealing.tabu import Walks, walk
-from cep.search.annealing.terms import BLOCK, lay_out, work_space
+from cep.search.annealing.proposals import Limits
+from cep.search.annealing.terms import lay_out, work_space
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
-from cep.search.problem import OBJECTIVES, SearchProblem
-from cep.search.scenarios import Scenario
+from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
 MIX = (("noise", 1.0), ("flatness", 0.5))
@@ -149,73 +146,43 @@ def test_cooling_keeps_limits_and_books(name, objective):
         )
 
 
-@pytest.mark.parametrize("objective", ["noise", MIX])
-@pytest.mark.parametrize("name", ["circle", "fixed light", "both ways", "ramps"])
-def test_a_walk_takes_the_best_neighbour(name, objective):
-    problem = replace(PROBLEMS[name], objective=objective)
-    judge, tables, chain = started(problem, seed=2)
-    before = chain.code.copy()
-    near = neighbours(problem, before, swaps=True)
-    if problem.response is not None:
-        # as the loop counts light
-        costs = [_loop_cost(tables, problem, code) for code in near]
-    else:
-        costs = judge.cost_of(near)
-    held = np.zeros(problem.chips, np.int64)
-    judged = walk(
-        tables,
-        Limits.of(problem),
-        chain,
-        work_space(tables, problem),
-        held,
-        1,
-        1,
+def chain_from(problem, tables, code, *, moves, seed, temperatures_db=(0.5, 0.1)):
+    return anneal_chain(
+        problem, tables, code, temperatures_db=temperatures_db, moves=moves, seed=seed
     )
-    assert judged == len(near)
-    assert chain.cost[0] == pytest.approx(min(costs), abs=1e-2)
-    assert any(np.array_equal(chain.code, code) for code in near)
-    # the chips that moved stay for a while
-    assert (held[chain.code != before] > 1).all()
-    assert (held[chain.code == before] == 0).all()
 
 
-def _loop_cost(tables, problem, code):
-    otf = np.empty((1, tables.rows.shape[2], 2, BLOCK), np.float32)
-    fresh_otf(tables, code.astype(np.int8), problem.chips, otf)
-    return total_cost(tables, problem.chips, code.astype(np.int8), otf)
-
-
-def test_the_crew_does_the_same_on_any_number_of_threads():
+def test_chains_do_the_same_on_any_number_of_threads():
     problem = SearchProblem(chips=20, open_range=(8, 12), objective="noise")
     tables = lay_out(Objective(problem, oversampling=8))
-    rng = np.random.default_rng(0)
-    pool = problem.random_codes(3, rng=rng).astype(np.int8)
-    plans = [Cooling(pool[0], 0.5, 0.1, 9000, 1), Walks(pool, 20_000, 2), Walks(pool, 20_000, 3)]
+    starts = problem.random_codes(3, rng=np.random.default_rng(0)).astype(np.int8)
     found = []
     for threads in (1, 3):
         codes = []
-        Crew(problem, tables, threads=threads).run(plans, lambda _moves: True, codes.append)
-        assert len(codes) == len(plans)
+        chains = [
+            chain_from(problem, tables, start, moves=9000, seed=seed)
+            for seed, start in enumerate(starts)
+        ]
+        run_chains(chains, lambda _moves: True, codes.append, threads=threads)
+        assert len(codes) == len(chains)
         assert all(problem.satisfied(some).all() for some in codes)
         found.append(codes)
     for one, three in zip(*found, strict=True):
         assert np.array_equal(one, three)
 
 
-def test_a_stopped_crew_offers_what_it_has():
+def test_stopped_chains_offer_what_they_have():
     problem = SearchProblem(chips=24, open_range=(12, 12), objective="noise")
     tables = lay_out(Objective(problem, oversampling=8))
-    start = problem.random_codes(1, rng=np.random.default_rng(0)).astype(np.int8)
+    start = problem.random_codes(1, rng=np.random.default_rng(0)).astype(np.int8)[0]
     codes = []
 
     def tick(_moves):
         raise KeyboardInterrupt
 
-    crew = Crew(problem, tables, threads=2)
+    chains = [chain_from(problem, tables, start, moves=10**12, seed=seed) for seed in (1, 2)]
     with pytest.raises(KeyboardInterrupt):
-        crew.run(
-            [Cooling(start[0], 0.5, 0.1, 10**12, 1), Walks(start, 10**12, 2)], tick, codes.append
-        )
+        run_chains(chains, tick, codes.append, threads=2)
     assert len(codes) == 2
     assert all(len(some) >= 1 for some in codes)
 
@@ -227,12 +194,8 @@ def test_a_chain_leaves_a_code_with_zeros(objective):
     problem = SearchProblem(chips=chips, open_range=(60, 60), objective=objective)
     coarse = Objective(problem, oversampling=8)
     comb = (np.arange(chips) % 2 == 0).astype(np.int8)
-    found = []
-    crew = Crew(problem, lay_out(coarse), threads=1)
-    crew.run(
-        [Cooling(comb, 0.1, 0.05, 40_000, 1), Walks(comb[None], 400_000, 2)],
-        lambda _moves: True,
-        found.append,
+    chain = chain_from(
+        problem, lay_out(coarse), comb, moves=40_000, seed=1, temperatures_db=(0.1, 0.05)
     )
-    for codes in found:
-        assert coarse.cost_of(codes).min() < (45 if objective == "min-mtf" else 30)
+    *_, (_, codes) = chain
+    assert coarse.cost_of(codes).min() < (45 if objective == "min-mtf" else 30)

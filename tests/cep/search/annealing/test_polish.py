@@ -9,8 +9,7 @@ import pytest
 from cep.optics.response import ShutterResponse
 from cep.search.annealing.polish import cheapest, neighbours, otf_nearby, polish
 from cep.search.objective import Objective
-from cep.search.problem import OBJECTIVES, SearchProblem
-from cep.search.scenarios import Scenario
+from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
 

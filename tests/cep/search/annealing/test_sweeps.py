@@ -10,15 +10,12 @@ import pytest
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
-from cep.search.annealing.anneal import anneal
-from cep.search.annealing.chains import Crew
-from cep.search.annealing.sweeps import Sweeps, sweep, sweep_tables, swept
-from cep.search.annealing.terms import lay_out
+from cep.search.annealing.anneal import anneal, run_chains
+from cep.search.annealing.sweeps import sweep, sweep_tables, sweeps, swept
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.optima import proven_optimum
-from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario
+from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
 SLOWING = Trajectory.from_samples([[0, 0], [6, 3], [14, 7]])
@@ -97,14 +94,12 @@ def test_a_zero_between_the_samples_of_the_moves_is_seen():
     problem = SearchProblem(chips=52, open_range=(26, 26))
     objective = Objective(problem, oversampling=8)
     judge = Objective(problem, oversampling=64)
+    tables = sweep_tables(objective, judge)
     codes = []
-    crew = Crew(
-        problem,
-        lay_out(objective),
-        threads=1,
-        sweeping=sweep_tables(objective, judge),
-    )
-    crew.run([Sweeps(2**16, 0.22, seed) for seed in range(60)], lambda _moves: True, codes.append)
+    chains = [
+        sweeps(problem, tables, moves=2**16, temperature_db=0.22, seed=seed) for seed in range(60)
+    ]
+    run_chains(chains, lambda _moves: True, codes.append, threads=1)
     for some in codes:
         minima = [min_chip(ShutterCode.from_array(code)) for code in some]
         assert minima[-1] >= max(minima) - 0.1
@@ -135,10 +130,11 @@ def test_the_seed_decides_not_the_threads():
     for threads in (1, 3):
         codes = []
         tables = sweep_tables(objective, judge)
-        crew = Crew(problem, lay_out(objective), threads=threads, sweeping=tables)
-        crew.run(
-            [Sweeps(300_000, 0.3, seed) for seed in (1, 2, 3)], lambda _moves: True, codes.append
-        )
+        chains = [
+            sweeps(problem, tables, moves=300_000, temperature_db=0.3, seed=seed)
+            for seed in (1, 2, 3)
+        ]
+        run_chains(chains, lambda _moves: True, codes.append, threads=threads)
         offered.append(codes)
     for one, three in zip(*offered, strict=True):
         assert len(one)

@@ -19,8 +19,7 @@ from cep.search.exhaustive.blocks import Tables
 from cep.search.exhaustive.exact import BestCode, codes_to_count, exact
 from cep.search.exhaustive.scan import INNER, all_patterns, keeps_runs, possible
 from cep.search.limits import RunLimits
-from cep.search.problem import SearchProblem
-from cep.search.scenarios import Scenario
+from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
 
@@ -264,7 +263,7 @@ def test_outcome_depends_neither_on_threads_nor_on_the_start(monkeypatch):
     problem = SearchProblem(chips=21)
     plain = exact(problem, threads=1)
     other = exact(problem, threads=3)
-    monkeypatch.setattr(BestCode, "climb", lambda self: None)
+    monkeypatch.setattr(BestCode, "anneal", lambda self: None)
     cold = exact(problem, threads=1)
     assert plain.code == other.code == cold.code
     assert plain.minimum == other.minimum == cold.minimum

@@ -1,5 +1,5 @@
-"""The recipe of a search: each baseline is what its name says, and none within the limits beats
-the code returned."""
+"""A search and its baselines: each is what its name says, and none within the limits beats the
+code returned."""
 
 from types import SimpleNamespace
 
@@ -11,12 +11,12 @@ from hypothesis import strategies as st
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
-from cep.search import recipe
+from cep.search import baselines as baselines_module
+from cep.search import search as search_module
+from cep.search.baselines import find_baselines
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
-from cep.search.problem import OBJECTIVES, SearchProblem
-from cep.search.recipe import baselines, search_code
-from cep.search.scenarios import Scenario
+from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from cep.search.search import Search, search
 from motdiff.trajectory import Trajectory
 
@@ -25,7 +25,9 @@ STRAIGHT = Trajectory.straight(11.0)
 
 
 def named(problem, **options):
-    return {row.name: row for row in baselines(problem, rng=np.random.default_rng(1), **options)}
+    return {
+        row.name: row for row in find_baselines(problem, rng=np.random.default_rng(1), **options)
+    }
 
 
 def test_the_baselines_of_a_straight_line():
@@ -46,7 +48,7 @@ def test_the_baselines_of_a_straight_line():
         assert row.cost_db == judge.exact_cost(row.code)
         assert row.within_limits == (7 <= row.code.open_chips <= 9)
     assert rows["open shutter"].code.duty == 1
-    found = search_code(problem, rng=np.random.default_rng(0), steps=5000)
+    found = search(problem, Search(steps=5000))
     # along a straight line the length is all there is to know
     assert rows["length-only code"].cost_db == pytest.approx(found.objective, abs=0.5)
 
@@ -80,11 +82,11 @@ def test_the_random_code_is_the_middle_one():
 def test_the_length_only_code_has_a_quarter_of_the_time_and_says_what_it_ended(monkeypatch):
     limits = []
 
-    def cut_short(_length_px, chips, *, time_s, **_options):
+    def cut_short(problem, *, time_s, **_options):
         limits.append(time_s)
-        return SimpleNamespace(code=ShutterCode("1" * chips), stopped="time")
+        return SimpleNamespace(code=ShutterCode("1" * problem.chips), stopped="time")
 
-    monkeypatch.setattr(recipe, "dnf_search", cut_short)
+    monkeypatch.setattr(baselines_module, "anneal", cut_short)
     rows = named(SearchProblem.along(BENT, chips=9), time_s=8.0)
     assert limits == [2.0]
     assert [name for name, row in rows.items() if row.stopped_early] == ["length-only code"]
@@ -95,9 +97,9 @@ def test_what_the_baselines_take_is_off_the_time_but_for_half_of_it(monkeypatch)
     now = [0.0]
     slept = iter((2.0, 9.0))
 
-    def slow(_length_px, chips, **_options):
+    def slow(problem, **_options):
         now[0] += next(slept)
-        return SimpleNamespace(code=ShutterCode("1" * chips), stopped="steps")
+        return SimpleNamespace(code=ShutterCode("1" * problem.chips), stopped="steps")
 
     def searched(problem, *, time_s, **_options):
         limits.append(time_s)
@@ -105,24 +107,24 @@ def test_what_the_baselines_take_is_off_the_time_but_for_half_of_it(monkeypatch)
             code=ShutterCode("110100011"), objective=0.0, steps=1, stopped="time"
         )
 
-    monkeypatch.setattr(recipe, "dnf_search", slow)
-    monkeypatch.setattr(recipe, "anneal", searched)
-    monkeypatch.setattr(recipe, "time", SimpleNamespace(monotonic=lambda: now[0]))
+    monkeypatch.setattr(baselines_module, "anneal", slow)
+    monkeypatch.setattr(search_module, "anneal", searched)
+    monkeypatch.setattr(search_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
     for _ in range(2):
-        search_code(SearchProblem.along(BENT, chips=9), rng=np.random.default_rng(0), time_s=10.0)
+        search(SearchProblem.along(BENT, chips=9), Search(time_s=10.0))
     assert limits == [8.0, 5.0]
 
 
-@pytest.mark.parametrize("at", ["best_snapshot", "dnf_search", "median_random_code"])
+@pytest.mark.parametrize("at", ["best_snapshot", "anneal", "median_random_code"])
 def test_ctrl_c_among_the_baselines_returns_the_best_so_far(monkeypatch, at):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
     problem = SearchProblem.along(BENT, chips=9, open_range=(3, 9), objective="mse")
-    whole = tuple(baselines(problem, rng=np.random.default_rng(0)))
-    monkeypatch.setattr(recipe, at, interrupted)
-    monkeypatch.setattr(recipe, "anneal", None)  # not called
-    found = search_code(problem, rng=np.random.default_rng(0))
+    whole = tuple(find_baselines(problem, rng=np.random.default_rng(0)))
+    monkeypatch.setattr(baselines_module, at, interrupted)
+    monkeypatch.setattr(search_module, "anneal", None)  # not called
+    found = search(problem, Search())
     assert found.stopped == "interrupted"
     assert len(found.baselines) < len(whole)
     assert problem.allows(found.code)
@@ -135,8 +137,8 @@ def test_ctrl_c_among_the_baselines_returns_the_best_so_far(monkeypatch, at):
 def test_a_search_that_ends_worse_than_a_baseline_returns_it(monkeypatch):
     problem = SearchProblem.along(BENT, chips=9, open_range=(3, 6), objective="mse")
     poor = SimpleNamespace(code=ShutterCode("101010000"), objective=99.0, steps=1, stopped="steps")
-    monkeypatch.setattr(recipe, "anneal", lambda _problem, **_options: poor)
-    found = search_code(problem, rng=np.random.default_rng(0))
+    monkeypatch.setattr(search_module, "anneal", lambda _problem, **_options: poor)
+    found = search(problem, Search())
     kept = {row.code: row.cost_db for row in found.baselines if row.within_limits}
     assert found.objective == kept[found.code] == min(kept.values())
 
@@ -189,7 +191,7 @@ def problems(draw):
 @settings(max_examples=40, deadline=None)
 @given(problems(), st.integers(1, 400), st.integers(0, 9))
 def test_no_baseline_within_the_limits_beats_the_code(problem, steps, seed):
-    found = search_code(problem, rng=np.random.default_rng(seed), steps=steps, threads=1)
+    found = search(problem, Search(steps=steps, seed=seed), threads=1)
     assert problem.allows(found.code)
     judge = Objective(problem, oversampling=64, dtype=np.float64)
     assert found.objective == judge.exact_cost(found.code)

@@ -9,13 +9,14 @@ import pytest
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import chip_noise_db
 from cep.proofs.measure import measure
-from cep.search.light import dnf_problem, dnf_search
+from cep.search.annealing.anneal import anneal
+from cep.search.baselines import dnf_problem
 from cep.search.limits import RunLimits
 from motdiff.trajectory import Trajectory
 
 
-def dnf_code(length_px, chips, **options):
-    return dnf_search(length_px, chips, **options).code
+def dnf_code(length_px, chips, *, rng, steps=1_000_000, **limits):
+    return anneal(dnf_problem(length_px, chips, **limits), rng=rng, steps=steps).code
 
 
 def noise_db(bits, length_px):

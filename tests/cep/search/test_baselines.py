@@ -6,7 +6,7 @@ import pytest
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
-from cep.search.light import best_snapshot, best_strobe, median_random_code
+from cep.search.baselines import best_snapshot, best_strobe, median_random_code
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
