@@ -85,7 +85,9 @@ fi
 cd "$out" # the paths in gpu.toml are relative
 
 train() { motdiff train "$1" -o run --device "$device" --minutes "$2" --validate-minutes "$every"; }
-in_checkpoint() { "$python" -c "import json; run = json.load(open('run/checkpoint/index.json')); print($1)"; }
+in_checkpoint() {
+    "$python" -c "from motdiff.weights_io import read_card; run = read_card('run/checkpoint', 'motdiff.checkpoint/2'); print($1)"
+}
 if [[ ! -e run.toml ]]; then
     sed -e '' ${changes[@]+"${changes[@]}"} "$configs/gpu.toml" >first.toml
     train first.toml "$first"
@@ -101,7 +103,7 @@ for ((call = 0; call < calls; call++)); do
     train run.toml "$minutes"
 done
 
-if [[ ! weights.safetensors -nt run/checkpoint/index.json ]]; then
+if [[ ! weights.safetensors -nt run/checkpoint ]]; then
     rm -f weights.safetensors*
     motdiff export run -o weights.safetensors --offset 1.8 # log(path_weight + 1)
     if (($(wc -c <weights.safetensors) > most_weights)); then # joined again by cat

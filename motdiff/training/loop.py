@@ -178,7 +178,7 @@ class Trainer:
             loss, float(path.detach()), float(dwell.detach()), float(gradient), self.loss
         )
 
-    def save(self, folder: Path | str) -> None:
+    def save(self, file: Path | str) -> None:
         """Write the exact state (from the leading process only)."""
         if not self.leads:
             return
@@ -192,11 +192,11 @@ class Trainer:
                 if key in state
             }
         tensors["loss"] = torch.tensor(self.loss, dtype=torch.float64)
-        write_checkpoint(folder, Checkpoint(self.step, tensors, asdict(self.config), self.seconds))
+        write_checkpoint(file, Checkpoint(self.step, tensors, asdict(self.config), self.seconds))
 
-    def resume(self, folder: Path | str) -> bool:
-        """Restore the state of ``folder``, False without one; ValueError for another network's."""
-        checkpoint = read_checkpoint(folder, device=self.device)
+    def resume(self, file: Path | str) -> bool:
+        """Restore the state of ``file``, False without one; ValueError for another network's."""
+        checkpoint = read_checkpoint(file, device=self.device)
         if checkpoint is None:
             return False
         try:
@@ -204,7 +204,7 @@ class Trainer:
             self.average.load_state_dict(checkpoint.under("ema."))
         except RuntimeError as error:
             raise ValueError(
-                f"{folder}: its checkpoint belongs to a network of another configuration"
+                f"{file}: its checkpoint belongs to a network of another configuration"
             ) from error
         exp_avg = checkpoint.under("adam.exp_avg.")
         exp_avg_sq = checkpoint.under("adam.exp_avg_sq.")

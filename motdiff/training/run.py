@@ -167,7 +167,7 @@ def train(
     Parameters
     ----------
     folder : path
-        Of ``checkpoint/``, ``log.csv`` and ``progress.png``.
+        Of ``checkpoint``, ``log.csv`` and ``progress.png``.
     workers : int
         Processes that draw motions.
     trainer_type : type, optional

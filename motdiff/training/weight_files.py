@@ -42,7 +42,7 @@ def export_weights(
 
     Parameters
     ----------
-    checkpoint : folder of a checkpoint
+    checkpoint : file of a checkpoint
     target : .safetensors file to write
     offset : float
         Taken from the path's logits. A loss that weighs path pixels more makes the network say too

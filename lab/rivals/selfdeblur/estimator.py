@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import shutil
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -84,15 +83,15 @@ class SelfDeblurEstimator:
         earlier_s = 0.0
         window = best_crops(textured_luminance(photo, least_px=_LEAST_PX), count=1)[0]
         fit = JointFit(torch.from_numpy(window.astype(np.float32)).to(self._device), self._config)
-        folder = self._folder(window)
-        if folder is not None:
-            earlier_s = fit.resume(folder) or 0.0
+        file = self._file(window)
+        if file is not None:
+            earlier_s = fit.resume(file) or 0.0
         saved_s = time.monotonic()
         loss = None
         while fit.iteration < self._config.iterations:
             loss = fit.advance()
-            if folder is not None and time.monotonic() - saved_s >= self._saved_every_s:
-                fit.save(folder, cpu_s=earlier_s + time.process_time() - began_s)
+            if file is not None and time.monotonic() - saved_s >= self._saved_every_s:
+                fit.save(file, cpu_s=earlier_s + time.process_time() - began_s)
                 saved_s = time.monotonic()
             if self._progress is not None:
                 self._progress(fit.iteration / self._config.iterations)
@@ -103,12 +102,12 @@ class SelfDeblurEstimator:
             "earlier_cpu_s": earlier_s,
         }
         estimate = estimate_from_kernel("selfdeblur", fit.kernel().double().numpy(), details)
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
+        if file is not None:
+            file.unlink(missing_ok=True)
         return estimate
 
-    def _folder(self, window: NDArray[np.float64]) -> Path | None:
-        """Folder of this photo's checkpoint: another photo, recipe, size or code is another
+    def _file(self, window: NDArray[np.float64]) -> Path | None:
+        """File of this photo's checkpoint: another photo, recipe, size or code is another
         one.
         """
         if self._checkpoints is None:

@@ -94,8 +94,8 @@ class JointFit:
             raw_kernel: Tensor = self._networks["kernel"](self._kernel_noise)
         return raw_kernel.cpu()
 
-    def save(self, folder: Path | str, *, cpu_s: float = 0.0) -> None:
-        """Write the exact state, and the processor time it took, as a checkpoint folder.
+    def save(self, file: Path | str, *, cpu_s: float = 0.0) -> None:
+        """Write the exact state, and the processor time it took, as a checkpoint.
 
         An older one there stays whole until this one is.
         """
@@ -104,10 +104,10 @@ class JointFit:
             state = self._adam.state.get(parameter, {})
             tensors |= {f"adam.{key}.{name}": state[key] for key in _MOMENTS if key in state}
         tensors["generator"] = self._generator.get_state()
-        write_checkpoint(folder, Checkpoint(self.iteration, tensors, asdict(self._config), cpu_s))
+        write_checkpoint(file, Checkpoint(self.iteration, tensors, asdict(self._config), cpu_s))
 
-    def resume(self, folder: Path | str) -> float | None:
-        """Resume from the state of ``folder``; the result is that of an uninterrupted fit.
+    def resume(self, file: Path | str) -> float | None:
+        """Resume from the state of ``file``; the result is that of an uninterrupted fit.
 
         Returns
         -------
@@ -116,20 +116,14 @@ class JointFit:
         Raises
         ------
         ValueError
-            If the folder holds something else, or the state of generators of other sizes.
+            If the file holds something else, or the state of generators of other sizes.
         """
-        checkpoint = read_checkpoint(folder, device=self._photo.device)
+        checkpoint = read_checkpoint(file, device=self._photo.device)
         if checkpoint is None:
             return None
         tensors = checkpoint.tensors
         try:
-            self._networks.load_state_dict(
-                {
-                    name[len("model.") :]: tensor
-                    for name, tensor in tensors.items()
-                    if name.startswith("model.")
-                }
-            )
+            self._networks.load_state_dict(checkpoint.under("model."))
             for name, parameter in self._networks.named_parameters():
                 if f"adam.exp_avg.{name}" in tensors:  # not before the first update
                     moments = {
@@ -143,7 +137,7 @@ class JointFit:
             self._generator.set_state(tensors["generator"].cpu())
         except (RuntimeError, KeyError) as error:
             raise ValueError(
-                f"{folder}: its checkpoint belongs to generators of other sizes; remove it"
+                f"{file}: its checkpoint belongs to generators of other sizes; remove it"
             ) from error
         self.iteration = checkpoint.step
         return checkpoint.seconds

@@ -128,18 +128,16 @@ class Trainer:
         """The code as it stands."""
         return code_of(self.weights)
 
-    def save(self, folder: Path) -> None:
+    def save(self, file: Path) -> None:
         """Write everything that :meth:`resume` needs."""
         tensors: dict[str, Tensor] = {"code": self.weights.detach()}
         tensors |= {f"model.{name}": value for name, value in self.network.state_dict().items()}
         for kind, adam in (("adam", self._adam), ("code_adam", self._code_adam)):
             for number, state in adam.state_dict()["state"].items():
                 tensors |= {f"{kind}.{number}.{name}": value for name, value in state.items()}
-        write_checkpoint(
-            folder, Checkpoint(self.step, tensors, asdict(self.settings), self.seconds)
-        )
+        write_checkpoint(file, Checkpoint(self.step, tensors, asdict(self.settings), self.seconds))
 
-    def resume(self, folder: Path) -> None:
+    def resume(self, file: Path) -> None:
         """Go on from a checkpoint, if there is one.
 
         Raises
@@ -147,13 +145,13 @@ class Trainer:
         ValueError
             If it is another run's.
         """
-        checkpoint = read_checkpoint(folder)
+        checkpoint = read_checkpoint(file)
         if checkpoint is None:
             return
         if (settings := asdict(self.settings)) != checkpoint.config:
             name = next(name for name in settings if settings[name] != checkpoint.config.get(name))
             raise ValueError(
-                f"{name}: the run in {folder} has {checkpoint.config.get(name)!r}, got"
+                f"{name}: the run in {file} has {checkpoint.config.get(name)!r}, got"
                 f" {settings[name]!r}"
             )
         self.network.load_state_dict(checkpoint.under("model."))

@@ -124,7 +124,7 @@ def export_weights(
 
     Parameters
     ----------
-    checkpoint : folder of a checkpoint
+    checkpoint : file of a checkpoint
     target : .safetensors file to write
     notes : mapping, optional
         Further entries of the card: data, figures.

@@ -1,14 +1,10 @@
-"""Checkpoints: exact, in small parts, and never lost, wherever a write stops."""
-
-import json
-import os
+"""Checkpoints: exact, and never lost, wherever a write stops."""
 
 import pytest
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
-from motdiff.training import checkpoint as module
-from motdiff.training.checkpoint import PART_BYTES, Checkpoint, read_checkpoint, write_checkpoint
+from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 
 
 def state(step=3, *, seed=0, count=6):
@@ -42,23 +38,18 @@ def assert_same(found, expected):
         assert torch.equal(found.tensors[name], tensor), name
 
 
-def names(folder):
-    return sorted(path.name for path in folder.iterdir())
-
-
 def test_a_checkpoint_comes_back_exactly(tmp_path):
-    folder = tmp_path / "deep" / "run" / "checkpoint"
-    write_checkpoint(folder, state())
-    assert_same(read_checkpoint(folder), state())
-    assert names(folder) == ["index.json", "part_000.safetensors"]
+    file = tmp_path / "deep" / "run" / "checkpoint"
+    write_checkpoint(file, state())
+    assert_same(read_checkpoint(file), state())
 
 
 def test_a_later_one_takes_the_earlier_ones_place(tmp_path):
-    folder = tmp_path / "checkpoint"
-    write_checkpoint(folder, state(3, count=30))
-    write_checkpoint(folder, state(4, seed=1))
-    assert_same(read_checkpoint(folder), state(4, seed=1))
-    assert names(tmp_path) == ["checkpoint"]
+    file = tmp_path / "checkpoint"
+    write_checkpoint(file, state(3, count=30))
+    write_checkpoint(file, state(4, seed=1))
+    assert_same(read_checkpoint(file), state(4, seed=1))
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"]
 
 
 def test_there_may_be_none(tmp_path):
@@ -66,146 +57,47 @@ def test_there_may_be_none(tmp_path):
     assert read_checkpoint(tmp_path / "no" / "such" / "folder") is None
 
 
-@pytest.mark.parametrize("limit", [1500, 3000, 6000])
-def test_no_part_is_larger_than_the_limit(tmp_path, monkeypatch, limit):
-    monkeypatch.setattr(module, "PART_BYTES", limit)
-    write_checkpoint(tmp_path / "checkpoint", state())
-    parts = sorted((tmp_path / "checkpoint").glob("part_*.safetensors"))
-    assert len(parts) > 1
-    assert all(part.stat().st_size <= limit for part in parts)
-    assert_same(read_checkpoint(tmp_path / "checkpoint"), state())
+def test_the_old_one_survives_a_write_that_fails(tmp_path, monkeypatch):
+    file = tmp_path / "checkpoint"
+    write_checkpoint(file, state(3))
 
+    def full(*_arguments):
+        raise OSError(28, "No space left on device")
 
-def test_many_small_tensors_leave_room_for_their_names(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "PART_BYTES", 20_000)
-    tensors = {
-        f"adam.exp_avg_sq.backbone.stages.2.blocks.{i}.norm1.bias": torch.zeros(1, 1, 1, 2)
-        for i in range(500)
-    }
-    write_checkpoint(tmp_path / "c", Checkpoint(1, tensors, {}))
-    assert max(part.stat().st_size for part in (tmp_path / "c").glob("part_*")) <= 20_000
-
-
-def test_a_tensor_above_the_limit_has_a_part_of_its_own(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "PART_BYTES", 1000)
-    write_checkpoint(tmp_path / "c", state(count=3))
-    assert_same(read_checkpoint(tmp_path / "c"), state(count=3))
-
-
-def test_the_limit_is_15_mebibytes():
-    assert PART_BYTES == 15 * 2**20
-
-
-# ---- writes that stop midway
-
-
-@pytest.fixture
-def fails_at(monkeypatch):
-    """A full disk at the write of a part, or at a rename, counted from 0."""
-
-    def arm(name, count):
-        real = {"save_file": save_file, "rename": os.rename}[name]
-        calls = iter(range(1000))
-
-        def failing(*arguments):
-            if next(calls) == count:
-                raise OSError(28, "No space left on device")
-            return real(*arguments)
-
-        monkeypatch.setattr(module if name == "save_file" else module.os, name, failing)
-
-    return arm
-
-
-@pytest.mark.parametrize("part", [0, 2])
-def test_the_old_one_survives_a_write_that_fails(tmp_path, monkeypatch, fails_at, part):
-    folder = tmp_path / "checkpoint"
-    monkeypatch.setattr(module, "PART_BYTES", 2000)
-    write_checkpoint(folder, state(3))
-    fails_at("save_file", part)
-    with pytest.raises(OSError, match="No space"):
-        write_checkpoint(folder, state(4, seed=1))
-    assert_same(read_checkpoint(folder), state(3))
-    monkeypatch.setattr(module, "save_file", save_file)
-    write_checkpoint(folder, state(5, seed=2))
-    assert_same(read_checkpoint(folder), state(5, seed=2))
-    assert names(tmp_path) == ["checkpoint"]
-
-
-def stopped_between_the_renames(folder, fails_at, monkeypatch):
-    rename = os.rename
-    write_checkpoint(folder, state(3))
-    fails_at("rename", 1)
-    with pytest.raises(OSError, match="No space"):
-        write_checkpoint(folder, state(4, seed=1))
-    monkeypatch.setattr(module.os, "rename", rename)
-    assert not folder.exists()
-
-
-def test_a_kill_between_the_renames_leaves_the_old_one(tmp_path, fails_at, monkeypatch):
-    folder = tmp_path / "checkpoint"
-    stopped_between_the_renames(folder, fails_at, monkeypatch)
-    assert_same(read_checkpoint(folder), state(3))
-    write_checkpoint(folder, state(5, seed=2))
-    assert_same(read_checkpoint(folder), state(5, seed=2))
-    assert names(tmp_path) == ["checkpoint"]
-
-
-def test_a_second_stop_after_one_between_the_renames_loses_nothing(
-    tmp_path, fails_at, monkeypatch
-):
-    folder = tmp_path / "checkpoint"
-    stopped_between_the_renames(folder, fails_at, monkeypatch)
-    fails_at("save_file", 0)
-    with pytest.raises(OSError, match="No space"):
-        write_checkpoint(folder, state(5, seed=2))
-    assert_same(read_checkpoint(folder), state(3))
+    with monkeypatch.context() as patch:
+        patch.setattr("motdiff.files.outputs.os.fsync", full)
+        with pytest.raises(OSError, match="No space"):
+            write_checkpoint(file, state(4, seed=1))
+    assert_same(read_checkpoint(file), state(3))
+    assert [path.name for path in tmp_path.iterdir()] == ["checkpoint"]
 
 
 # ---- what is no checkpoint
 
 
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda folder, index: index | {"schema": "motdiff.checkpoint/9"}, "motdiff.checkpoint/9"),
-        (
-            lambda folder, index: {name: index[name] for name in index if name != "schema"},
-            "schema",
-        ),
-        (lambda folder, index: {name: index[name] for name in index if name != "step"}, "step"),
-        (lambda folder, index: [index], "list"),
-        (lambda folder, index: index | {"files": ["part_007.safetensors"]}, "part_007"),
-    ],
-)
-def test_another_schema_or_half_an_index_is_refused(tmp_path, change, said):
-    folder = tmp_path / "checkpoint"
-    write_checkpoint(folder, state())
-    index = folder / "index.json"
-    index.write_text(json.dumps(change(folder, json.loads(index.read_text()))))
-    refused(folder, said)
+def test_a_file_that_is_no_whole_checkpoint_is_refused(tmp_path):
+    file = tmp_path / "checkpoint"
+    write_checkpoint(file, state())
+    data = file.read_bytes()
+    tensors = load_file(file)
+    file.write_bytes(data[:-9])
+    refused(file, "cannot be read as weights")
+    file.write_bytes(data.replace(b"motdiff.checkpoint/2", b"motdiff.checkpoint/9"))
+    refused(file, "is no motdiff.checkpoint/2 file")
+    for header in ("[]", '{"step": 1}', "{"):
+        save_file(tensors, file, {"motdiff.checkpoint/2": header})
+        refused(file, "whole")
 
 
-def test_a_broken_index_or_part_is_refused(tmp_path):
-    folder = tmp_path / "checkpoint"
-    write_checkpoint(folder, state())
-    part = folder / "part_000.safetensors"
-    part.write_bytes(part.read_bytes()[:-9])
-    refused(folder, "is no whole")
-    (folder / "index.json").write_text('{"schema": ')
-    refused(folder, "is no whole")
+def test_a_folder_is_refused(tmp_path):
+    """As runs of earlier versions have them, whose log must not be written over."""
+    (tmp_path / "checkpoint").mkdir()
+    refused(tmp_path / "checkpoint", "is a folder")
 
 
-def test_a_folder_of_something_else_is_refused(tmp_path):
-    (tmp_path / "letters").mkdir()
-    (tmp_path / "letters" / "mother.txt").write_text("dear mother")
-    refused(tmp_path / "letters", "index.json")
-
-
-def refused(folder, said):
-    with pytest.raises(ValueError, match="checkpoint") as caught:
-        read_checkpoint(folder)
+def refused(file, said):
+    with pytest.raises(ValueError, match=said) as caught:
+        read_checkpoint(file)
     message = str(caught.value)
-    assert message.startswith(f"{folder}: is no whole motdiff.checkpoint/1 checkpoint")
-    assert said in message
+    assert message.startswith(f"{file}: ")
     assert "\n" not in message

@@ -3,7 +3,6 @@ four photos."""
 
 import itertools
 import math
-import os
 from dataclasses import replace
 
 import pytest
@@ -176,21 +175,6 @@ def test_a_checkpoint_of_before_the_loss_was_kept(tmp_path):
     assert second.resume(tmp_path / "checkpoint")
     (losses,) = train(second, 1)
     assert losses.smoothed == losses.total
-
-
-def test_a_kill_between_the_renames_costs_nothing_but_the_steps_since(tmp_path):
-    whole = Trainer(VARIANTS["dropouts"])
-    train(whole, 4)
-    first = Trainer(VARIANTS["dropouts"])
-    train(first, 2)
-    first.save(tmp_path / "checkpoint")
-    os.rename(
-        tmp_path / "checkpoint", tmp_path / "checkpoint.old"
-    )  # as write_checkpoint does just before the end
-    second = Trainer(VARIANTS["dropouts"])
-    assert second.resume(tmp_path / "checkpoint")
-    train(second, 2)
-    assert_equal(saved(second, tmp_path / "checkpoint"), saved(whole, tmp_path / "whole"))
 
 
 def test_nothing_to_resume(tmp_path):

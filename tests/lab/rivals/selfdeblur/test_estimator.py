@@ -242,9 +242,9 @@ def test_a_spoilt_checkpoint_is_told_of(tmp_path):
     ):
         fit.resume(tmp_path / "other")
     fit.save(tmp_path / "cut")
-    part = next((tmp_path / "cut").glob("*.safetensors"))
-    part.write_bytes(part.read_bytes()[:-100])
-    with pytest.raises(ValueError, match=r"cut: is no whole motdiff.checkpoint/1 checkpoint"):
+    cut = tmp_path / "cut"
+    cut.write_bytes(cut.read_bytes()[:-100])
+    with pytest.raises(ValueError, match=r"cut: cannot be read as weights"):
         fit_of(QUICK).resume(tmp_path / "cut")
 
 
