@@ -183,8 +183,7 @@ def _add_prepare(commands: _Commands[argparse.ArgumentParser]) -> None:
 def _prepare(options: argparse.Namespace) -> None:
     import torch
 
-    from motdiff.training.prepared import prepare, read_source
-    from motdiff.training.shards import shard_range
+    from motdiff.training.prepared import prepare, read_source, shard_range
 
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
     shards = shard_range(options.shards)

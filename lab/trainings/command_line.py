@@ -58,9 +58,8 @@ def prepare_shards(options: argparse.Namespace, prepare: Callable[..., None]) ->
     """
     import torch
 
-    from motdiff.training.prepared import read_source
+    from motdiff.training.prepared import read_source, shard_range
     from motdiff.training.run import device_named
-    from motdiff.training.shards import shard_range
 
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
     shards = shard_range(options.shards)

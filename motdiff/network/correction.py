@@ -11,12 +11,19 @@ import torch
 from torch import Tensor, nn
 
 from motdiff.blind_search.coarse_to_fine import fine_latent
-from motdiff.blind_search.grids import fast_size, gradient_power, periodic_extension, psf_to_otf
+from motdiff.blind_search.grids import (
+    SYMMETRIES,
+    fast_size,
+    gradient_power,
+    inverse_symmetry,
+    mirrored,
+    periodic_extension,
+    psf_to_otf,
+)
 from motdiff.blind_search.kernel import without_faint_light
 from motdiff.blind_search.latent import salient_gradients
 from motdiff.network.physics_maps import autocorrelation, lags, spectral_maps
 from motdiff.network.sampling import DOUBT
-from motdiff.network.symmetry import SYMMETRIES, inverse_symmetry, mirrored
 from motdiff.network.unet import GridUNet, silence
 from motdiff.psf_frame import PSF_PX
 

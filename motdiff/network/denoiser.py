@@ -30,29 +30,21 @@ class Denoiser(nn.Module):
     mid layer before its ReLU.
 
     Its receptive field is about 16 map pixels, so it cannot decide for one path where the
-    condition allows several. With `view` a U-Net with attention over the whole map, whose output
-    is 0 at first, is added to the mid layer. The paper has none.
+    condition allows several. With `denoiser_view` a U-Net with attention over the whole map, whose
+    output is 0 at first, is added to the mid layer. The paper has none.
 
     Parameters
     ----------
     condition_channels : int
         Channels of the condition.
-    width : int
-        Channels of the encoding block and of the mid layer, a multiple of 4.
-    decoder_widths : tuple of two int
-        Channels after each decoding block, the first a multiple of 4.
-    outputs : int
-        1: path; 2: path and dwell.
-    dropout : float
-        Dropout probability before the output layer.
-    time_width : int
-        Channels of the timestep's embedding, even.
+    config : NetworkConfig
+        Sizes. Of target "psf" the maps lie on the condition's own grid, without stride and
+        PixelShuffle. With a view the condition must be 64x64.
+
+    Attributes
+    ----------
     pitch : int
-        Map pixels per condition pixel: 4; or 1 for maps on the condition's own grid, without
-        stride and PixelShuffle.
-    view : int
-        Levels of the U-Net over the whole map below its first of 16x16; 0 for none. With one the
-        condition must be 64x64.
+        Map pixels per condition pixel: 4 for HR maps, 1 for PSFs.
 
     References
     ----------
@@ -60,39 +52,35 @@ class Denoiser(nn.Module):
     architecture".
     """
 
-    def __init__(
-        self,
-        condition_channels: int,
-        *,
-        width: int = 64,
-        decoder_widths: tuple[int, int] = (32, 16),
-        outputs: int = 1,
-        dropout: float = 0.1,
-        time_width: int = 128,
-        pitch: int = MAP_PITCH,
-        view: int = 0,
-    ) -> None:
+    def __init__(self, condition_channels: int, config: NetworkConfig) -> None:
         super().__init__()
-        self.pitch = pitch
-        grow = {MAP_PITCH: 2, 1: 1}[pitch]  # of each decoding block
-        self.time = _TimeNetwork(time_width)
-        self.enter = nn.Conv2d(1, width, 7, pitch, 3)
-        self.residual = _ResidualBlock(width, time_width)
+        width = config.denoiser_width
+        wide, narrow = config.decoder_widths
+        self.pitch = MAP_PITCH
+        grow = 2  # of each decoding block
+        if config.target == "psf":
+            self.pitch = grow = 1
+        self.time = _TimeNetwork(config.time_width)
+        self.enter = nn.Conv2d(1, width, 7, self.pitch, 3)
+        self.residual = _ResidualBlock(width, config.time_width)
         self.leave = nn.Conv2d(width, width, 3, 1, 1)
         self.mid = nn.Conv2d(width + condition_channels, width, 1)
-        self.mid_modulation = _Modulation(time_width, width)
-        self.view = GridUNet(width, width, view, patch=4) if view else None
-        if self.view is not None:
+        self.mid_modulation = _Modulation(config.time_width, width)
+        self.view: GridUNet | None = None
+        if config.denoiser_view:
+            self.view = GridUNet(width, width, config.denoiser_view, patch=4)
             silence(self.view.out[-1])
         self.decode = nn.Sequential(
             nn.PixelShuffle(grow),
-            nn.Conv2d(width // grow**2, decoder_widths[0], 3, 1, 1),
+            nn.Conv2d(width // grow**2, wide, 3, 1, 1),
             nn.ReLU(),
             nn.PixelShuffle(grow),
-            nn.Conv2d(decoder_widths[0] // grow**2, decoder_widths[1], 3, 1, 1),
+            nn.Conv2d(wide // grow**2, narrow, 3, 1, 1),
             nn.ReLU(),
         )
-        self.output = nn.Sequential(nn.Dropout(dropout), _output_layer(decoder_widths[1], outputs))
+        self.output = nn.Sequential(
+            nn.Dropout(config.dropout), _output_layer(narrow, 1 + config.dwell)
+        )
 
     def forward(self, x_t: Tensor, t: Tensor, condition: Tensor) -> Tensor:
         """Logits of x0 (and of dwell).
@@ -142,7 +130,7 @@ class Denoiser(nn.Module):
 class MotDiffNetwork(ConditionNetwork):
     """Logits of the path map (or the PSF) from photo, physics maps, noisy map and timestep.
 
-    `condition` depends on the photo only: call it once, then `denoise` at every step.
+    `condition` depends on the photo only: call it once, then `denoiser` at every step.
 
     Parameters
     ----------
@@ -151,8 +139,6 @@ class MotDiffNetwork(ConditionNetwork):
 
     Attributes
     ----------
-    pitch : int
-        Map pixels per condition pixel: 4 for HR maps, 1 for PSFs.
     denoiser : Denoiser
         Network of every step.
 
@@ -164,22 +150,7 @@ class MotDiffNetwork(ConditionNetwork):
 
     def __init__(self, config: NetworkConfig) -> None:
         super().__init__(config)
-        self.pitch = 1 if config.target == "psf" else MAP_PITCH
-        self.denoiser = Denoiser(
-            self.condition_channels,
-            width=config.denoiser_width,
-            decoder_widths=config.decoder_widths,
-            outputs=2 if config.dwell else 1,
-            dropout=config.dropout,
-            time_width=config.time_width,
-            pitch=self.pitch,
-            view=config.denoiser_view,
-        )
-
-    def denoise(self, x_t: Tensor, t: Tensor, condition: Tensor) -> Tensor:
-        """Logits (B, 1 or 2, H, W) of x0 (and dwell) from x_t (B, 1, H, W), t (B,) in 0..999."""
-        logits: Tensor = self.denoiser(x_t, t, condition)
-        return logits
+        self.denoiser = Denoiser(self.condition_channels, config)
 
     def forward(
         self,
@@ -189,16 +160,18 @@ class MotDiffNetwork(ConditionNetwork):
         physics: Tensor | None = None,
         corner: tuple[int, int] = (0, 0),
     ) -> Tensor:
-        """`condition` and `denoise` in one, for training: each photo has one timestep.
+        """`condition` and `denoiser` in one, for training: each photo has one timestep.
 
-        An `x_t` smaller than the photo's map is a window of it, whose first pixel is `pitch` times
-        `corner` (row, column).
+        An `x_t` smaller than the photo's map is a window of it, whose first pixel is the
+        denoiser's `pitch` times `corner` (row, column).
         """
         condition = self.condition(photo, physics)
         rows, columns = (
-            slice(c, c + n // self.pitch) for c, n in zip(corner, x_t.shape[-2:], strict=True)
+            slice(c, c + n // self.denoiser.pitch)
+            for c, n in zip(corner, x_t.shape[-2:], strict=True)
         )
-        return self.denoise(x_t, t, condition[..., rows, columns])
+        logits: Tensor = self.denoiser(x_t, t, condition[..., rows, columns])
+        return logits
 
 
 def timestep_embedding(t: Tensor, width: int) -> Tensor:

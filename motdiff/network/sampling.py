@@ -60,12 +60,13 @@ def sample_paths(
         As for :func:`motdiff.network.diffusion.samples`.
     """
     batch, _, height, width = condition.shape
+    pitch = network.denoiser.pitch
     repeated = condition.repeat_interleave(count, dim=0)
-    speeds = condition.new_ones(batch * count, 1, network.pitch * height, network.pitch * width)
+    speeds = condition.new_ones(batch * count, 1, pitch * height, pitch * width)
 
     def predict_x0(x_t: Tensor, t: Tensor) -> Tensor:
         nonlocal speeds
-        logits = network.denoise(x_t.to(condition.dtype), t, repeated)
+        logits = network.denoiser(x_t.to(condition.dtype), t, repeated)
         # of the last step: the dwell belongs to the final map
         if logits.shape[1] > 1:
             speeds = functional.softplus(logits[:, 1:])

@@ -13,8 +13,8 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
+from motdiff.blind_search.grids import SYMMETRIES, mirrored
 from motdiff.network.physics_maps import display_photo, physics_maps, spectral_maps, stacked_maps
-from motdiff.network.symmetry import SYMMETRIES, mirrored
 from motdiff.psf_frame import MAP_PITCH
 from motdiff.training.motion_bank import MotionBank
 from motdiff.training.prepared import light_of

@@ -20,11 +20,13 @@ from motdiff.network.config import NetworkConfig
 from motdiff.network.diffusion import (
     Schedule,
     cosine_schedule,
+    denoising_loss,
+    dwell_loss,
     q_sample,
     stochastic_trajectory_pixel_dropout,
+    structure_loss,
     to_signal,
 )
-from motdiff.network.losses import denoising_loss, dwell_loss, structure_loss
 from motdiff.network.sampling import sample_paths
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint

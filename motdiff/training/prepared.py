@@ -1,30 +1,33 @@
-"""Prepared training samples: simulated and searched once, stored in small files."""
+"""Prepared training samples: simulated and searched once, stored in shards, numbered files."""
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from motdiff.files.inputs import one_line, regular_file
+from motdiff.files.outputs import new_file
 from motdiff.network.condition import PHOTO_PX
 from motdiff.psf_frame import MAP_PX
 from motdiff.training.config import read_config
 from motdiff.training.motion_bank import MotionMix, bank_of, drawn_motions
 from motdiff.training.photos import load_scenes
 from motdiff.training.samples import Samples, simulate
-from motdiff.training.shards import load_shards, write_shards
 from motdiff.training.simulation import Photography
 from motdiff.trajectory import Trajectory
 
 SHARD_SAMPLES = 64  # about 7 MB in a file
 _NAME = "shard"
 _SEEDS_APART = 1_000_003  # of two runs: a shard of one has no seed of the other's
+_Loaded = TypeVar("_Loaded")
 
 
 @dataclass(frozen=True)
@@ -151,3 +154,100 @@ def samples_of(stored: Mapping[str, NDArray[Any]]) -> Samples:
     return Samples(
         *(torch.from_numpy(array) for array in (photos, stored["kernels"], path, dwell))
     )
+
+
+# -- shards of any samples -----------------------------------------------------------------------
+
+
+def shard_range(text: str) -> range:
+    """Numbers of ``--shards``, ``FIRST:LAST`` or ``FIRST:LAST:STEP``; ValueError for others."""
+    try:
+        first, last, *step = (int(number) for number in text.split(":"))
+        shards = range(first, last, *step)
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"--shards: must be FIRST:LAST or FIRST:LAST:STEP, got {text!r}"
+        ) from None
+    if not shards or min(shards) < 0:
+        raise ValueError(
+            f"--shards: must hold numbers from 0 upwards, FIRST below LAST, got {text!r}"
+        )
+    return shards
+
+
+def write_shards(
+    folder: Path | str,
+    shards: range,
+    *,
+    name: str,
+    make: Callable[[int], Mapping[str, NDArray[np.generic]]],
+    on_shard: Callable[[int], None],
+) -> None:
+    """Write the missing ones of the shards.
+
+    Parameters
+    ----------
+    folder : path, made when missing
+    shards : range
+        Numbers of the files; several processes can share the work by strides.
+    name : str
+        First part of the files' names.
+    make : callable
+        From a number to the arrays of its file.
+    on_shard : callable
+        Called with the number of every shard that is there.
+    """
+    target = Path(folder)
+    target.mkdir(parents=True, exist_ok=True)
+    for shard in shards:
+        file = target / f"{name}_{shard:05d}.npz"
+        if not file.exists():
+            arrays = make(shard)
+            with new_file(file) as temporary:
+                np.savez(temporary, **arrays)  # type: ignore[arg-type]  # an array may be named as an option of savez
+        on_shard(shard)
+
+
+def load_shards(
+    folder: Path | str,
+    *,
+    name: str,
+    load: Callable[[Mapping[str, NDArray[np.generic]]], _Loaded],
+    missing: str,
+) -> list[_Loaded]:
+    """Load every shard of a folder, in the order of the numbers.
+
+    Parameters
+    ----------
+    name : str
+        First part of the files' names.
+    load : callable
+        From the arrays of a file to the samples.
+    missing : str
+        Kind of the files and the command that writes them: the end of the error without any.
+
+    Raises
+    ------
+    ValueError
+        If there are none, or one is damaged.
+    """
+    # partial ones are of earlier versions
+    files = sorted(
+        file for file in Path(folder).glob(f"{name}_*.npz") if ".partial" not in file.suffixes
+    )
+    if not files:
+        raise ValueError(f"{folder}: holds no {missing}")
+    return [_loaded(file, load) for file in files]
+
+
+def _loaded(file: Path, load: Callable[[Mapping[str, NDArray[np.generic]]], _Loaded]) -> _Loaded:
+    regular_file(file)
+    try:
+        with file.open("rb") as stream, np.load(stream) as stored:
+            return load(stored)
+    except (zipfile.BadZipFile, EOFError, KeyError, ValueError) as error:
+        # numpy takes a file that is no archive for a pickle, and says how to load it unsafely
+        reason = "no archive of arrays" if "pickle" in str(error) else one_line(error)
+        raise ValueError(
+            f"{file}: is damaged ({reason}); delete it and prepare it again"
+        ) from error

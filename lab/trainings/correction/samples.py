@@ -27,11 +27,12 @@ from motdiff.training.prepared import (
     Source,
     joined,
     light_of,
+    load_shards,
     sample_arrays,
     samples_of,
+    write_shards,
 )
 from motdiff.training.samples import Samples, registration
-from motdiff.training.shards import load_shards, write_shards
 
 SHARD_PHOTOS = 128
 SEARCHES: tuple[Start, ...] = STARTS[:3]

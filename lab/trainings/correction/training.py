@@ -13,8 +13,8 @@ from torch import Tensor, nn
 
 from lab.trainings.averaged import AveragedNetwork, set_rate
 from lab.trainings.correction.samples import Kernels, alike, described
+from motdiff.blind_search.grids import SYMMETRIES, mirrored
 from motdiff.network.correction import CorrectionNetwork, corrected
-from motdiff.network.symmetry import SYMMETRIES, mirrored
 from motdiff.training.samples import Samples
 from motdiff.weights import CORRECTION_SCHEMA
 from motdiff.weights_io import packed, write_with_card

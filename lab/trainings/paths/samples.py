@@ -17,12 +17,11 @@ from torch import Tensor
 
 from lab.trainings.correction.samples import kernel_maps, noise_of, searched
 from lab.trainings.paths.network import POINTS
+from motdiff.blind_search.grids import mirrored
 from motdiff.network.correction import CorrectionNetwork, corrected
-from motdiff.network.symmetry import mirrored
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.motion_bank import MotionMix, drawn_motions
-from motdiff.training.prepared import Source
-from motdiff.training.shards import load_shards, write_shards
+from motdiff.training.prepared import Source, load_shards, write_shards
 from motdiff.trajectory import Trajectory
 
 SHARD_PHOTOS = 128
@@ -214,7 +213,7 @@ def read_samples(folder: Path | str) -> PathSamples:
 
 def turned(maps: Tensor, points: Tensor, symmetry: int) -> tuple[Tensor, Tensor]:
     """Turn or mirror maps (B, C, 64, 64) and points (B, 64, 2) by a symmetry of the square, see
-    :func:`motdiff.network.symmetry.mirrored`.
+    :func:`motdiff.blind_search.grids.mirrored`.
     """
     signs = points.new_tensor([1 - (symmetry & 2), 1 - 2 * (symmetry & 1)])
     points = points * signs

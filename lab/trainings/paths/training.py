@@ -21,7 +21,7 @@ from lab.trainings.paths.samples import (
     peaks,
     turned,
 )
-from motdiff.network.symmetry import SYMMETRIES
+from motdiff.blind_search.grids import SYMMETRIES
 from motdiff.psf_frame import PSF_PX
 from motdiff.weights_io import packed, write_with_card
 

@@ -9,12 +9,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from motdiff.blind_search.grids import SYMMETRIES, inverse_symmetry, mirrored
 from motdiff.network import MotDiffNetwork
 from motdiff.network.condition import PHOTO_PX
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.physics_maps import QUICK_STARTS, display_photo, physics_maps, quick_kernels
 from motdiff.network.sampling import sample_paths
-from motdiff.network.symmetry import SYMMETRIES, inverse_symmetry, mirrored
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 

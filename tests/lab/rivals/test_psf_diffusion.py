@@ -106,7 +106,7 @@ def test_it_draws_on_the_grid_of_the_condition():
     physics = torch.randn(2, 2, 64, 64, generator=draw)
     with torch.no_grad():
         condition = network.condition(None, physics)
-        assert network.denoise(
+        assert network.denoiser(
             torch.randn(2, 1, 64, 64, generator=draw), torch.tensor([3, 900]), condition
         ).shape == (
             2,
@@ -115,7 +115,7 @@ def test_it_draws_on_the_grid_of_the_condition():
             64,
         )
         with pytest.raises(ValueError, match=r"it must be \(2, 1, 64, 64\)"):
-            network.denoise(torch.zeros(2, 1, 256, 256), torch.tensor([3, 900]), condition)
+            network.denoiser(torch.zeros(2, 1, 256, 256), torch.tensor([3, 900]), condition)
         drawn = sample_paths(
             network, condition, count=3, schedule=cosine_schedule(), steps=2, generator=draw
         )

@@ -7,11 +7,10 @@ import torch
 from scipy import signal
 
 from motdiff.blind_search.coarse_to_fine import fine_latent
-from motdiff.blind_search.grids import fast_size, periodic_extension
+from motdiff.blind_search.grids import fast_size, mirrored, periodic_extension
 from motdiff.metrics import mnc
 from motdiff.network.correction import MAPS, CorrectionNetwork, corrected, correction_maps
 from motdiff.network.physics_maps import autocorrelation, spectral_maps
-from motdiff.network.symmetry import mirrored
 from motdiff.simulate import blur_valid
 
 ZERO = 32

@@ -6,7 +6,7 @@ import math
 import re
 import subprocess
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
@@ -260,6 +260,9 @@ def test_physics_maps_of_another_shape_are_refused():
 # -- denoiser -------------------------------------------------------------------------------------
 
 
+SMALL = NetworkConfig(denoiser_width=16)
+
+
 def test_timestep_embedding_is_made_of_phases():
     waves = timestep_embedding(torch.arange(1000), 128)
     torch.testing.assert_close(waves[0], torch.cat([torch.ones(64), torch.zeros(64)]))
@@ -275,7 +278,7 @@ def test_timestep_embedding_is_made_of_phases():
 
 @pytest.mark.parametrize("outputs", [1, 2])
 def test_denoiser_starts_from_the_paths_share(outputs):
-    denoiser = Denoiser(8, width=16, outputs=outputs)
+    denoiser = Denoiser(8, replace(SMALL, dwell=outputs == 2))
     x_t = torch.randn(2, 1, 64, 96)
     condition = torch.randn(2, 8, 16, 24)
     logits = denoiser(x_t, torch.tensor([0, 999]), condition)
@@ -284,7 +287,7 @@ def test_denoiser_starts_from_the_paths_share(outputs):
 
 
 def test_no_connection_skips_the_mid_layer():
-    denoiser = Denoiser(8, width=16).eval()
+    denoiser = Denoiser(8, SMALL).eval()
     condition = torch.randn(1, 8, 16, 16)
     t = torch.tensor([10])
     with torch.no_grad():
@@ -298,7 +301,7 @@ def test_no_connection_skips_the_mid_layer():
 @pytest.mark.parametrize("view", [0, 1])
 def test_a_denoiser_with_a_global_view_sees_the_whole_map(view):
     """Without one a change of the noisy map tells on the logits near by; with one, everywhere."""
-    denoiser = Denoiser(8, width=16, view=view).eval()
+    denoiser = Denoiser(8, replace(SMALL, denoiser_view=view)).eval()
     if denoiser.view is not None:
         torch.nn.init.normal_(denoiser.view.out[-1].weight)
     x_t = torch.randn(1, 1, 256, 256, requires_grad=True)
@@ -309,8 +312,8 @@ def test_a_denoiser_with_a_global_view_sees_the_whole_map(view):
 
 
 def test_a_global_view_changes_nothing_until_it_is_trained():
-    plain = Denoiser(8, width=16).eval()
-    wide = Denoiser(8, width=16, view=2).eval()
+    plain = Denoiser(8, SMALL).eval()
+    wide = Denoiser(8, replace(SMALL, denoiser_view=2)).eval()
     wide.load_state_dict(wide.state_dict() | plain.state_dict())
     given = torch.randn(1, 1, 256, 256), torch.tensor([500]), torch.randn(1, 8, 64, 64)
     assert torch.equal(wide(*given), plain(*given))
@@ -319,7 +322,7 @@ def test_a_global_view_changes_nothing_until_it_is_trained():
 @pytest.mark.parametrize("silenced", ["residual.modulation", "mid_modulation"])
 def test_the_timestep_enters_at_two_places(silenced):
     """Each alone makes the output depend on the timestep; without both it does not."""
-    denoiser = Denoiser(8, width=16).eval()
+    denoiser = Denoiser(8, SMALL).eval()
     x_t = torch.randn(1, 1, 64, 64)
     condition = torch.randn(1, 8, 16, 16)
 
@@ -335,7 +338,7 @@ def test_the_timestep_enters_at_two_places(silenced):
 
 
 def test_denoiser_shapes_must_fit():
-    denoiser = Denoiser(8, width=16)
+    denoiser = Denoiser(8, SMALL)
     condition = torch.zeros(2, 8, 16, 16)
     with pytest.raises(ValueError, match=r"^x_t has shape \(2, 1, 32, 32\).* \(2, 1, 64, 64\)"):
         denoiser(torch.zeros(2, 1, 32, 32), torch.zeros(2).long(), condition)
@@ -368,7 +371,7 @@ def test_the_condition_serves_many_steps(config):
         channels = config.physics_width if config.physics_channels else config.width
         assert condition.shape == (2, channels, *(side // 4 for side in given["x_t"].shape[-2:]))
         for t in (given["t"], given["t"] + 90):
-            logits = network.denoise(given["x_t"], t, condition)
+            logits = network.denoiser(given["x_t"], t, condition)
             assert logits.shape == (2, 1 + config.dwell, *given["x_t"].shape[-2:])
             torch.testing.assert_close(logits, network(**{**given, "t": t}))
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from motdiff.network.losses import (
+from motdiff.network.diffusion import (
     denoising_loss,
     dwell_loss,
     structure_loss,

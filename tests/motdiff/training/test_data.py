@@ -7,9 +7,9 @@ import pytest
 import torch
 from torch.nn import functional
 
+from motdiff.blind_search.grids import mirrored
 from motdiff.network.physics_maps import QuickStart, display_photo, physics_maps, quick_kernels
 from motdiff.network.sampling import psfs_of_maps
-from motdiff.network.symmetry import mirrored
 from motdiff.training import samples as samples_module
 from motdiff.training.data import Batch, LiveSource, PreparedSource, seed_of
 from motdiff.training.motion_bank import MotionMix, build_bank

@@ -9,8 +9,7 @@ import pytest
 import torch
 
 from motdiff.network import NetworkConfig
-from motdiff.network.diffusion import cosine_schedule
-from motdiff.network.losses import denoising_loss, dwell_loss, structure_loss
+from motdiff.network.diffusion import cosine_schedule, denoising_loss, dwell_loss, structure_loss
 from motdiff.network.physics_maps import spectral_maps
 from motdiff.network.sampling import sample_paths
 from motdiff.training import loop as module

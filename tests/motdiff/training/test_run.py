@@ -467,11 +467,12 @@ def test_a_perfect_network_is_validated_as_one(prepared):
 
     class Oracle:
         pitch = 4
+        denoiser = property(lambda network: network)
 
         def condition(self, photo, physics):
             return torch.zeros(len(physics), 1, 64, 64)
 
-        def denoise(self, x_t, t, condition):
+        def __call__(self, x_t, t, condition):
             return torch.cat(
                 [40 * (2 * batch.x0 - 1), torch.log(torch.expm1(batch.dwell.clamp(min=1e-4)))],
                 dim=1,

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from motdiff.training.shards import load_shards, shard_range, write_shards
+from motdiff.training.prepared import load_shards, shard_range, write_shards
 
 MISSING = "numbers; write some"
 

@@ -18,8 +18,8 @@ from lab.trainings.paths.samples import (
     turned,
 )
 from lab.trainings.paths.training import Batches, Settings, Trainer, figures, train
+from motdiff.blind_search.grids import SYMMETRIES, mirrored
 from motdiff.motions import boracchi_foi
-from motdiff.network.symmetry import SYMMETRIES, mirrored
 from motdiff.training.motion_bank import MotionMix
 from motdiff.weights_io import read_card, read_tensors
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from lab.evaluation.methods import NetworkAlone, named_estimators
+from motdiff.blind_search.grids import mirrored
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.motdiff import agreement, correcting, drawing
 from motdiff.estimators.motdiff import estimator as module
@@ -20,7 +21,6 @@ from motdiff.metrics import mnc_subpixel
 from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps
 from motdiff.network.sampling import psfs_of_maps
-from motdiff.network.symmetry import mirrored
 from motdiff.photo_noise import noise_sigma, shared_sigma
 from motdiff.simulate import blur_valid
 from motdiff.threads import one_thread
@@ -93,6 +93,7 @@ class Oracle:
     physics = None
     photo = True
     pitch = 4
+    denoiser = property(lambda network: network)
 
     def __init__(self, motion, *, logit=40.0, dwell=None):
         self.logit = logit
@@ -113,7 +114,7 @@ class Oracle:
         self.photos = [*self.photos, photo] if alike else [photo]
         return torch.full((1, 1, 64, 64), float(alike[0] if alike else 0))
 
-    def denoise(self, x_t, t, condition):
+    def __call__(self, x_t, t, condition):
         (symmetry,) = {int(symmetry) for symmetry in condition[:, 0, 0, 0]}
         self.steps.append((symmetry, int(t[0]), len(x_t)))
         logits = self.logit * (2 * self.maps[symmetry].expand(len(x_t), 1, 256, 256) - 1)
@@ -236,7 +237,7 @@ def test_draws_are_weighted_by_their_dwell():
 class Noise(Oracle):
     """Draws what it is given: the noise that each draw starts from."""
 
-    def denoise(self, x_t, t, condition):
+    def __call__(self, x_t, t, condition):
         return 10 * x_t
 
 
@@ -290,6 +291,7 @@ class Blind:
     physics = True
     photo = None
     pitch = 4
+    denoiser = property(lambda network: network)
 
     def __init__(self):
         self.shown = []
@@ -299,7 +301,7 @@ class Blind:
         self.shown.append(physics)
         return torch.zeros(1, 1, 64, 64)
 
-    def denoise(self, x_t, t, condition):
+    def __call__(self, x_t, t, condition):
         return torch.zeros_like(x_t)
 
 

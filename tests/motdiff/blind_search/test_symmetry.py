@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from motdiff.network.symmetry import inverse_symmetry, mirrored
+from motdiff.blind_search.grids import inverse_symmetry, mirrored
 from motdiff.simulate import blur_symmetric
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.trajectory import Trajectory
