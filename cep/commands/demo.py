@@ -71,9 +71,9 @@ def demo(options: DemoOptions) -> None:
 
         from cep.files.formatting import option_words
         from cep.files.images import parse_gamma, read_photo
-        from cep.report.demo import DEMO_FILES, write_demo
-        from cep.report.demo_chain import EXPOSURE_S, STANDARD_CAMERA, run_chain
-        from cep.report.demo_scene import Scene, bundled_scene
+        from cep.report.chain import EXPOSURE_S, STANDARD_CAMERA, run_chain
+        from cep.report.page import DEMO_FILES, write_demo
+        from cep.report.scene import Scene, bundled_scene
         from hw.device import load_profile
         from motdiff.files.outputs import claim_folder
 
@@ -103,7 +103,7 @@ def demo(options: DemoOptions) -> None:
             device=profile,
             chips=options.chips,
             seed=options.seed,
-            tell=part(tick, *_CHAIN),
+            progress=part(tick, *_CHAIN),
         )
         tick(_CHAIN[1], "writing the report")
         camera_options = {

@@ -13,8 +13,7 @@ from cep.optics.camera import LIGHT_RANGE
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.expected import WORTH_DB
-from cep.search.gain_table import shifts_db
-from cep.search.measured import corrected, corrections_db, is_measured, measured_ways
+from cep.search.measured import corrections_db, is_measured, measured_ways, shifts_db
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict, check_codes, expectation
 from cep.search.ways import (
@@ -246,8 +245,11 @@ def advise(
     shifts = corrections_db(at_camera.ways, exposures)
     measured = replace(at_camera, ways=exposures)
     levels_stated = tuple(
-        measured if at_level is at_camera else _shifted(at_level, shifts, camera_light)
-        for at_level in modelled.values()
+        # what the model lacks grows with the light: nearby it is as where it was measured
+        measured
+        if light == camera_light
+        else at_level.shifted(shifts, math.exp(-abs(math.log10(light / camera_light))))
+        for light, at_level in modelled.items()
     )
     progress(1.0, "")
     return Advice(problem, measured, levels_stated)
@@ -256,22 +258,9 @@ def advise(
 def shifted(advice: Advice) -> Advice:
     """Shift an advice of the model by what photographs showed of such cases."""
     path = advice.problem.scenarios[0].trajectory
-    levels = []
-    for level in advice.levels:
-        shifts = shifts_db(path, level.camera)
-        exposures = tuple(corrected(exposure, shifts, 1.0) for exposure in level.ways)
-        levels.append(replace(level, ways=exposures))
+    levels = [level.shifted(shifts_db(path, level.camera)) for level in advice.levels]
     at_camera = levels[advice.levels.index(advice.here)]
     return replace(advice, here=at_camera, levels=tuple(levels))
-
-
-def _shifted(level: Verdict, shifts: dict[Choice, float], measured_light: float) -> Verdict:
-    """Shift a modelled verdict towards what was measured at another light."""
-    decades = abs(math.log10(level.camera.photons_full_scale / measured_light))
-    share = math.exp(-decades)  # what the model lacks grows with the light
-    return replace(
-        level, ways=tuple(corrected(exposure, shifts, share) for exposure in level.ways)
-    )
 
 
 def _range(low: float | None, high: float | None) -> str:

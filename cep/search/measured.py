@@ -1,13 +1,23 @@
-"""Ways to expose, measured: simulated on photographs and restored, instead of a model's figure."""
+"""Ways to expose, measured: simulated on photographs and restored, instead of a model's figure.
+
+A measurement takes seconds, which a page that follows a hand, and a first sentence, do not have.
+They shift the model by a table of cases that were measured before, by
+``python -m lab.photo_gains.table``.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import cache
 from operator import attrgetter
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from cep.optics.band import straight_axis
+from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.scene import PHOTO
 from cep.photographs import scenes
@@ -21,6 +31,14 @@ from motdiff.types import FloatArray
 LONGEST_PX = 128.0
 """Extent of a motion beyond which a measurement would take minutes, and the model is left."""
 
+GAINS_TABLE = Path(__file__).with_name("gains.csv")
+"""Gains over the open shutter of the best single exposure and the best code, by the model and on
+photographs."""
+
+# distances at which a case of the table counts e^-1/2: a third of a step between its cases
+_DECADES = 0.4  # of light and of read noise
+_OCTAVES = 0.5  # of the extent
+_BENT = 2.0  # straight and bent paths count half a step apart
 _FIRST_ROUNDS = (3, 6)  # photographs after which half of the candidates is left, and one
 _LENGTHS = 6  # of single exposures, the best by the model, that are tried
 _CODES = 4  # of the search's, the best by the model, that are tried
@@ -239,3 +257,49 @@ def _stated(modelled: Way, photos_db: FloatArray, psnr_db: float | None = None) 
         equal_light_db=modelled.equal_light_db + float(psnr_db) - modelled.psnr_db,
         photo_psnr_db=tuple(photos_db.tolist()),
     )
+
+
+def shifts_db(path: Trajectory, camera: Camera) -> dict[Choice, float]:
+    """Return what the model's gains over the open shutter lack on photographs, dB, by kind.
+
+    The mean over the table's cases, each with a weight that falls with the distance in light, read
+    noise and extent of the motion. Cases far from all of them get the nearest one's.
+
+    Parameters
+    ----------
+    path : Trajectory
+    camera : Camera
+    """
+    places, lacks_db = _measured_cases()
+    # what of the noise does not come from the light: quantisation counts as well
+    photons = camera.photons_full_scale
+    variance = float(camera.noise_variance(PHOTO.mean)) - PHOTO.mean / photons
+    fixed_e = photons * float(np.sqrt(max(variance, 0.0)))
+    place = _place(path.extent_px, straight_axis(path) is not None, photons, fixed_e)
+    squares = ((places - place) ** 2).sum(axis=1)
+    weights = np.exp(-(squares - squares.min()) / 2)
+    snapshot_db, code_db = (weights @ lacks_db / weights.sum()).tolist()
+    return {"open": 0.0, "snapshot": snapshot_db, "strobe": code_db, "code": code_db}
+
+
+@cache
+def _measured_cases() -> tuple[FloatArray, FloatArray]:
+    """Places of the table's cases, and what the model lacks there, dB: snapshot and code."""
+    cases = np.genfromtxt(GAINS_TABLE, delimiter=",", names=True, dtype=None, encoding="utf-8")
+    places = _place(cases["extent_px"], cases["straight"], cases["photons"], cases["read_noise_e"])
+    kinds = ("snapshot", "code")
+    lacks_db = [cases[f"{kind}_measured_db"] - cases[f"{kind}_model_db"] for kind in kinds]
+    return places, np.stack(lacks_db, axis=-1)
+
+
+def _place(
+    extent_px: ArrayLike, straight: ArrayLike, photons: ArrayLike, read_noise_e: ArrayLike
+) -> FloatArray:
+    """Place of a case, in steps at which it counts e^-1/2, along the last axis."""
+    steps = (
+        np.log10(photons) / _DECADES,
+        np.log10(np.maximum(read_noise_e, 1.0)) / _DECADES,
+        np.log2(np.maximum(extent_px, 1.0)) / _OCTAVES,
+        np.asarray(straight) / _BENT,
+    )
+    return np.stack(steps, axis=-1)

@@ -13,8 +13,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.scene import PHOTO, Scene
 from cep.search.expected import WORTH_DB
-from cep.search.gain_table import shifts_db
-from cep.search.measured import corrected, is_measured, measured_ways
+from cep.search.measured import corrected, is_measured, measured_ways, shifts_db
 from cep.search.problem import SearchProblem
 from cep.search.ways import (
     CODED,
@@ -144,6 +143,14 @@ class Verdict:
         if code is None or not plain:
             return None
         return gain_range_db(code, max(plain, key=attrgetter("psnr_db")))
+
+    def shifted(self, shifts: dict[Choice, float], share: float = 1.0) -> Verdict:
+        """Return a model's verdict, shifted by a share of what photographs showed of each kind."""
+        return replace(
+            self,
+            ways=tuple(corrected(exposure, shifts, share) for exposure in self.ways),
+            user_code=self.user_code and corrected(self.user_code, shifts, share),
+        )
 
     @property
     def sentence(self) -> str:
@@ -338,10 +345,7 @@ def verdict(
 def expectation(problem: SearchProblem, modelled: Verdict) -> str:
     """Say what to expect of a measurement: a model's verdict, shifted by table."""
     shifts = shifts_db(problem.scenarios[0].trajectory, modelled.camera)
-    exposures = tuple(corrected(exposure, shifts, 1.0) for exposure in modelled.ways)
-    user_code = modelled.user_code and corrected(modelled.user_code, shifts, 1.0)
-    shifted = replace(modelled, ways=exposures, user_code=user_code)
-    text = shifted.recommendation
+    text = modelled.shifted(shifts).recommendation
     return f"expected, before it is measured: {text[:1].lower()}{text[1:]}"
 
 

@@ -25,9 +25,8 @@ from cep.proofs.audit import with_proven_zero
 from cep.proofs.measure import CodeMetrics
 from cep.restoration.wiener import wiener
 from cep.search.expected import ExpectedPsnr
-from cep.search.gain_table import shifts_db
 from cep.search.limits import Limits, RunLimits
-from cep.search.measured import corrected
+from cep.search.measured import corrected, shifts_db
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict, verdict_of
 from cep.search.ways import Way, WayFinder, check_light, judged_ways, kind_of

@@ -463,8 +463,8 @@ def _static(name: str) -> Response:
 def _bundled_photo() -> bytes:
     """Blurred photo of the demo, as a PNG file."""
     from cep.files.images import encode_image
-    from cep.report.demo_chain import STANDARD_CAMERA
-    from cep.report.demo_scene import bundled_scene
+    from cep.report.chain import STANDARD_CAMERA
+    from cep.report.scene import bundled_scene
 
     scene = bundled_scene(Camera.load(STANDARD_CAMERA), rng=np.random.default_rng(0))
     return encode_image(scene.photo, ".png")

@@ -19,7 +19,7 @@ from cep.files.formatting import duration
 from cep.files.images import encode_image
 from cep.optics.camera import camera_names
 from cep.plots.advice import WAY_NAMES
-from cep.report.demo_scene import bundled_picture
+from cep.report.scene import bundled_picture
 from cep.shutter.play import export_code
 from cep.studio import catalogue
 from cep.studio.fields import FieldError

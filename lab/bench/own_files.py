@@ -11,7 +11,7 @@ from cep.calibration.calibrate import CALIBRATION_FILES
 from cep.files.code_files import CODE_SCHEMA
 from cep.files.images import PICTURE_SUFFIXES
 from cep.files.psf_files import PSF_SUFFIXES
-from cep.report.demo import DEMO_SCHEMA
+from cep.report.page import DEMO_SCHEMA
 from lab.bench.table_io import TABLES_SCHEMA
 from lab.fronts.run import FRONT_SCHEMA
 from motdiff.files.trajectories import SCHEMA as MOTION_SCHEMA
@@ -81,7 +81,7 @@ def _is_of_demo(path: Path) -> bool:
     folder = path.parent
     if not _is_ours(folder / "demo.json", DEMO_SCHEMA):
         return False
-    from cep.report.demo import DEMO_FILES
+    from cep.report.page import DEMO_FILES
 
     return path.name in DEMO_FILES and _has_motion(folder)
 

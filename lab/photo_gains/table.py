@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import csv
 from collections.abc import Iterator
-from dataclasses import astuple, fields
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import numpy as np
 import cep
 from cep.optics.band import straight_axis
 from cep.optics.camera import Camera
-from cep.search.gain_table import TABLE, MeasuredGain
+from cep.search.measured import GAINS_TABLE
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict
 from motdiff.motions import boracchi_foi, quadratic
@@ -29,10 +29,40 @@ nearest to it. Cases that the file has already are left; more motions or light i
 the table finer."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class MeasuredGain:
+    """A case of the table.
+
+    Attributes
+    ----------
+    motion : str
+    extent_px : float
+    straight : int
+        1 where the path is straight.
+    photons : float
+        At full scale.
+    read_noise_e : float
+    snapshot_model_db, code_model_db : float
+        Gain over the open shutter of the best single exposure and of the best code, by the model.
+    snapshot_measured_db, code_measured_db : float
+        The mean over photographs.
+    """
+
+    motion: str
+    extent_px: float
+    straight: int
+    photons: float
+    read_noise_e: float
+    snapshot_model_db: float
+    code_model_db: float
+    snapshot_measured_db: float
+    code_measured_db: float
+
+
 def main() -> None:
     """Write the table."""
     parser = argparse.ArgumentParser(prog="python -m lab.photo_gains.table", description=ABOUT)
-    parser.add_argument("-o", "--output", type=Path, default=TABLE)
+    parser.add_argument("-o", "--output", type=Path, default=GAINS_TABLE)
     arguments = parser.parse_args()
     output: Path = arguments.output
     columns = [field.name for field in fields(MeasuredGain)]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from cep.files.code_files import read_code
-from cep.report.demo import DEMO_FILES
+from cep.report.page import DEMO_FILES
 from motdiff.files.trajectories import read_motion
 
 FILES = {
@@ -68,8 +68,8 @@ WORK = (
     "cep.shutter.playback.read_capture",
     "hw.emulation.uno.EmulatedUno",
     "hw.export.export_program",
-    "cep.report.demo_chain.run_chain",
-    "cep.report.demo_scene.bundled_scene",
+    "cep.report.chain.run_chain",
+    "cep.report.scene.bundled_scene",
 )
 
 

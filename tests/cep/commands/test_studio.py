@@ -11,7 +11,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-from cep.search.gain_table import shifts_db
+from cep.search.measured import shifts_db
 from cep.studio.security import Keys
 from cep.studio.state import read_setting
 from cep.studio.views import Views

@@ -7,14 +7,14 @@ import pytest
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.report.demo import write_demo
-from cep.report.demo_chain import CONTRAST, STANDARD_CAMERA, run_chain
-from cep.report.demo_scene import SceneMotion, bundled_scene
+from cep.report.chain import STANDARD_CAMERA, run_chain
+from cep.report.page import write_demo
+from cep.report.scene import SceneMotion, bundled_scene
 from motdiff.estimators.reference.estimator import ReferenceEstimator
 
 LEVELS = (1000.0,)
 CODING_CAMERA = Camera.load(STANDARD_CAMERA)
-PLAIN_CAMERA = Camera.load(CONTRAST)
+PLAIN_CAMERA = Camera.load("sony-imx250")
 
 
 def small_scene(camera):
@@ -49,16 +49,15 @@ def calibrated():
     """A chain whose motion was estimated from photos through codes."""
     scene = small_scene(CODING_CAMERA)
     known = replace(scene.motion, direction="known")
-    from_open = from_open_photo(scene)
     estimate = replace(
-        from_open,
+        from_open_photo(scene),
         method="coded",
         trajectories=(known,),
         weights=(1.0,),
         details={"path_uncertainty_px": 0.2},
     )
     codes = tuple(ShutterCode(bits) for bits in ("1111", "0110"))
-    motion = SceneMotion(estimate, codes, (scene.photo, 0.5 * scene.photo), from_open)
+    motion = SceneMotion(estimate, codes, (scene.photo, 0.5 * scene.photo))
     return run_chain(scene, CODING_CAMERA, motion=motion, levels=LEVELS, chips=16)
 
 

@@ -5,8 +5,8 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf, mtf
-from cep.search.gain_table import shifts_db
 from cep.search.limits import RunLimits
+from cep.search.measured import shifts_db
 from cep.search.problem import SearchProblem
 from cep.search.verdict import verdict
 from cep.studio.catalogue import example_motion

@@ -18,8 +18,7 @@ from starlette.requests import ClientDisconnect
 import cep
 from cep.files.images import encode_image, read_image
 from cep.files.raw_files import RAW_SUFFIXES
-from cep.search.gain_table import shifts_db
-from cep.search.measured import corrected
+from cep.search.measured import corrected, shifts_db
 from cep.search.verdict import verdict, verdict_of
 from cep.studio import server
 from cep.studio.jobs import BusyError

@@ -9,7 +9,7 @@ from cep.files.code_files import StoredCode, write_code
 from cep.files.images import read_image, write_image
 from cep.files.psf_files import write_psf
 from cep.optics.code import ShutterCode
-from cep.report.demo import DEMO_FILES, DEMO_SCHEMA
+from cep.report.page import DEMO_FILES, DEMO_SCHEMA
 from lab.bench.datasets import bundled_photos, crop, layout_of, photo_folder, pick
 from lab.bench.table_io import Provenance, made_json
 from lab.fronts.run import FRONT_SCHEMA

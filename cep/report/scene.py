@@ -22,7 +22,6 @@ _BEND = 1.5
 # crop that the photos of a set are searched on: larger ones take longer and are little better
 _SET_PX = 192
 _PLANES = 3  # photos of a set through a Gray code, beside the one with an open shutter
-_SET_SHARE = 0.65  # of the time: the open photo alone takes the rest
 
 
 @dataclass(frozen=True)
@@ -56,19 +55,15 @@ class SceneMotion:
     Attributes
     ----------
     estimate : MotionEstimate
-        From all photos.
     codes : tuple of ShutterCode
         Of the photos, the open shutter first; empty where there is that photo only.
     photos : tuple of float ndarrays, linear light
         One for each code.
-    from_open : MotionEstimate or None
-        From the photo with the open shutter alone, where there are others.
     """
 
     estimate: MotionEstimate
     codes: tuple[cep.ShutterCode, ...] = ()
     photos: tuple[FloatArray, ...] = ()
-    from_open: MotionEstimate | None = None
 
 
 def bundled_picture() -> FloatArray:
@@ -110,24 +105,18 @@ def find_motion(
     exposure_s: float,
     device: cep.DeviceProfile | None = None,
     seed: int = 0,
-    tell: Callable[[float, str], None] = lambda _fraction, _note: None,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> SceneMotion:
     """Estimate a scene's motion, from photos through known codes where they can be simulated.
 
     A user's photo has no others, and neither has a device that cannot play the codes.
     """
-
-    def estimate_from_open(begin: float) -> MotionEstimate:
-        try:
-            return cep.estimate_motion(
-                scene.photo, progress=lambda share, note: tell(begin + (1 - begin) * share, note)
-            )
-        except ValueError as error:
-            raise ValueError(f"{scene.name}: {error}") from None
-
     codes = _calibration_codes(exposure_s, device)
     if scene.sharp is None or scene.motion is None or not codes:
-        return SceneMotion(estimate_from_open(0.0))
+        try:
+            return SceneMotion(cep.estimate_motion(scene.photo, progress=progress))
+        except ValueError as error:
+            raise ValueError(f"{scene.name}: {error}") from None
     frame = scene.motion.frame_size() | 1
     rng = np.random.default_rng([seed, 4])  # not the draws of the chain's photos, from 3
     photos = [scene.photo]
@@ -140,9 +129,9 @@ def find_motion(
         [photo[row : row + _SET_PX, column : column + _SET_PX] for photo in photos],
         codes=codes,
         seed=seed,
-        progress=lambda share, note: tell(_SET_SHARE * share, note),
+        progress=progress,
     )
-    return SceneMotion(estimate, codes, tuple(photos), from_open=estimate_from_open(_SET_SHARE))
+    return SceneMotion(estimate, codes, tuple(photos))
 
 
 def _calibration_codes(
