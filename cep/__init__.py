@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from cep.optics.exposure import coded_psf, mtf
     from cep.proofs.audit import audit
     from cep.proofs.certify.certificate import certify
-    from cep.proofs.verify.certificates import verify
+    from cep.proofs.verify import verify
     from cep.restoration.direction import detect_direction
     from cep.restoration.restore import restore
     from cep.restoration.together import restore_together
@@ -114,7 +114,7 @@ _MODULES = {
     "restore_together": "cep.restoration.together",
     "shoot": "cep.shutter.shoot",
     "time_camera": "cep.shutter.timing",
-    "verify": "cep.proofs.verify.certificates",
+    "verify": "cep.proofs.verify",
     "write_image": "cep.files.images",
 }
 

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from cep.plots.mtf_curves import MtfComparison
     from cep.proofs.audit import Audit
     from cep.proofs.measure import FigureOfMerit
-    from cep.proofs.verify.certificates import Verdict
+    from cep.proofs.verify import Verdict
     from motdiff.files.outputs import Outputs
 
 _LISTED_ZEROS = 12  # for people; --json has all
@@ -96,7 +96,7 @@ def audit(options: AuditOptions) -> None:
     from cep.codes.sources import find_code
     from cep.optics.scene import PHOTO, Scene
     from cep.proofs.audit import audit as audit_code
-    from cep.proofs.verify.certificates import verify
+    from cep.proofs.verify import verify
     from cep.search.problem import SearchProblem
     from cep.search.verdict import verdict
     from motdiff.files.json_files import json_text

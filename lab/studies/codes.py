@@ -24,7 +24,7 @@ from cep.optics.mtf import chip_noise_db
 from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import chip_minimum
 from cep.proofs.measure import measure
-from cep.proofs.verify.certificates import verify
+from cep.proofs.verify import verify
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 

@@ -9,7 +9,6 @@ from typing import Any
 from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import Minimum, chip_minimum, mtf_minimum
-from cep.proofs.certify.zeros import Zero
 from motdiff.trajectory import Trajectory
 
 _FIELDS = (
@@ -50,36 +49,6 @@ class Certificate(Minimum):
         data["relative_width"] = self.relative_width
         # the order in which files have always had them
         return {name: data[name] for name in _FIELDS}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Certificate:
-        """Read :meth:`to_dict` back; unknown fields are ignored.
-
-        Raises
-        ------
-        ValueError
-            If a field is missing or of the wrong type.
-        """
-        try:
-            zero = data.get("zero")
-            if zero is not None:
-                zero = Zero.from_dict(zero)
-            return cls(
-                unit=str(data["unit"]),
-                lower=float(data["lower"]),
-                upper=float(data["upper"]),
-                at=tuple(float(value) for value in data["at"]),
-                method=str(data["method"]),
-                bits=str(data["bits"]),
-                directions=tuple(data.get("directions", BOTH)),
-                direction=str(data.get("direction", "forward")),
-                trajectory=data.get("trajectory"),
-                zero=zero,
-            )
-        except KeyError as error:
-            raise ValueError(f"certificate: field {error} is missing") from None
-        except TypeError as error:
-            raise ValueError(f"certificate: a field has the wrong type ({error})") from None
 
 
 def certify(

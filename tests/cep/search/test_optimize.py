@@ -7,7 +7,7 @@ import pytest
 
 from cep.files.code_files import read_code
 from cep.optics.camera import Camera
-from cep.proofs.verify.certificates import verify
+from cep.proofs.verify import verify
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.optimize import optimize

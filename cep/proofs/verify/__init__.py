@@ -1,1 +1,0 @@
-"""Independent verification of certificates: no code is shared with their making."""
