@@ -204,20 +204,11 @@ class Trajectory:
         """Return the path backwards in time: the uncoded OTF stays, a coded one changes."""
         return replace(self, t=1.0 - self.t[::-1], xy=self.xy[::-1])
 
-    def mirrored(self) -> Trajectory:
-        """Return the path rotated by 180 degrees, ``p -> -p``: its OTF is the conjugate."""
-        return replace(self, xy=-self.xy)
-
     def scaled(self, factor: float) -> Trajectory:
         """Return the path enlarged by ``factor``, as that of a photo resized by it."""
         if not (np.isfinite(factor) and factor > 0):
             raise ValueError(f"factor must be a positive number, got {factor}")
         return replace(self, xy=self.xy * factor)
-
-    def resampled(self, samples: int) -> Trajectory:
-        """Return ``samples`` samples evenly spaced in time."""
-        t = np.linspace(0, 1, samples)
-        return Trajectory.from_samples(self.at(t), t=t, direction=self.direction)
 
     def thinned(self, tolerance_px: float = 1e-4) -> Trajectory:
         """Return the path with fewer samples, always within ``tolerance_px`` of this one.

@@ -64,7 +64,7 @@ with tempfile.TemporaryDirectory() as folder:
     try:
         report, emulated = emulated_plays(recording), True
         print(
-            f"{report.chips} chips of {report.chip_ns} ns read back by {report.firmware}:"
+            f"{report.program.chips} chips of {report.program.chip_ns} ns read back by {report.firmware}:"
             f" {report.read_back}"
         )
     except EmulationError as missing:

@@ -406,7 +406,7 @@ def _levin_seeds():
 
 
 def _denoiser(path):
-    from cep.restoration.denoiser.weights import load_denoiser
+    from cep.restoration.denoiser.network import load_denoiser
 
     return load_denoiser(path)
 

@@ -12,10 +12,17 @@ import typer
 
 from cep.commands.code_options import exposure_seconds
 from cep.commands.commands import in_options, with_photo_file
-from cep.commands.console import finish, part, progress
-from cep.commands.jobs import Workers, finish_folder
+from cep.commands.console import Table, end, finish, part, progress
 from cep.commands.next_photo import NextOptions, next_step, write_next
-from cep.commands.options import CommonOptions, Gamma, argument, command, option, output_option
+from cep.commands.options import (
+    CommonOptions,
+    Gamma,
+    Workers,
+    argument,
+    command,
+    option,
+    output_option,
+)
 from motdiff.estimators.method import Kind, Option, command_options
 from motdiff.estimators.registry import METHODS, blind_methods
 
@@ -55,6 +62,7 @@ _COLUMNS = {
     "confidence": "confidence",
     "seconds": "s",
 }
+_FAILED = "failed"
 
 
 def _method_field(name: str, declared: Option) -> tuple[str, Any, Any]:
@@ -265,7 +273,7 @@ def calibrate(options: CalibrateOptions) -> None:
     if method_options.get("gyro") is not None:
         columns = calibration.details["columns"]
         lines.append(f"{method_options['gyro']}: {columns}; axes: {calibration.details['axes']}")
-    finish(result, as_json=options.as_json, page=lines)
+    finish(result, lines, as_json=options.as_json)
 
 
 def _refuse_workers(options: CalibrateOptions) -> None:
@@ -340,20 +348,52 @@ def _calibrate_folder(
             force=options.force,
             progress=tick,
         )
-    finish_folder(
+    failures = {
+        str(row["photo"]): str(row["failure"]) for row in results.rows if _state(row) == _FAILED
+    }
+    warnings = [*results.warnings, *(f"{photo}: {reason}" for photo, reason in failures.items())]
+    if results.missing:
+        warnings.append(
+            f"stopped early: {results.missing} photos are left out; the same command with --force"
+            " goes on"
+        )
+    finish(
         {
             "folder": results.folder,
             "summary": results.summary,
             "method": method,
             "photos": results.figures,
             "seed": options.seed,
+            "failures": failures,
+            "missing": results.missing,
+            "warnings": warnings,
         },
-        _COLUMNS,
-        results,
-        title="the motion in each photo",
-        noun="photos",
+        [folder_table(results.rows), str(results.summary)],
         as_json=options.as_json,
     )
+    end(missing=results.missing, failed=len(failures))
+
+
+def folder_table(rows: Sequence[Mapping[str, Any]]) -> Table:
+    """Lay the motions of a folder's photos out; a figure that no photo has is left out."""
+    keys = [
+        key for key in _COLUMNS if key == "photo" or any(row.get(key) is not None for row in rows)
+    ]
+    lines = [(*(row.get(key) for key in keys), _state(row)) for row in rows]
+    heads = (*(_COLUMNS[key] for key in keys), "warnings")
+    return Table("the motion in each photo", heads, lines, last_columns=1)
+
+
+def _state(row: Mapping[str, Any]) -> str:
+    """Return the state of a photo in a word; reasons and warnings are printed on stderr."""
+    from cep.calibration.calibrate_folder import NOT_REACHED
+
+    failure = row.get("failure")
+    if failure == NOT_REACHED:
+        return NOT_REACHED
+    if failure:
+        return _FAILED
+    return str(len(row.get("warnings") or ()) or "")
 
 
 def _refine(
@@ -438,11 +478,11 @@ def _refine(
     outcome = _outcome(refinement, given_direction=stored.trajectory.direction)
     finish(
         result,
-        as_json=options.as_json,
-        page=[
+        [
             f"{target}: {outcome}; direction {motion.direction}, error about"
             f" {refinement.uncertainty_px:.2g} px"
         ],
+        as_json=options.as_json,
     )
 
 

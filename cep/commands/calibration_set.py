@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cep.commands.code_options import CODE, STANDARD_CHIPS, Device, chips_option
+from cep.commands.code_options import CODE, STANDARD_CHIPS, Device, chips_option, in_bits
 from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
     CommonOptions,
@@ -16,7 +16,6 @@ from cep.commands.options import (
     output_option,
     table_files,
 )
-from cep.commands.search_run import in_bits
 
 if TYPE_CHECKING:
     from cep.calibration.calibration_set import CalibrationSet
@@ -86,10 +85,9 @@ def calibration_set(options: CalibrationSetOptions) -> None:
     }
     finish(
         result,
+        _page(calibration, output),
         as_json=options.as_json,
-        page=_page(calibration, output),
         outputs=outputs,
-        # the set's folder is whole or not at all by itself: only tables are staged
         save=lambda _staged: calibration.save(
             output, file_format=options.file_format, force=options.force
         ),

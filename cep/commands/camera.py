@@ -10,14 +10,13 @@ import typer
 
 from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
+    CameraFileOptions,
     Force,
     Json,
-    PlotFile,
     TableFile,
     argument,
     command,
     option,
-    output_option,
     table_files,
 )
 
@@ -65,7 +64,7 @@ def list_(options: ListOptions) -> None:
         profile = Camera.load(options.camera)
         result = {"camera": profile.to_dict()}
         page = [_figures_of(profile), f"source: {profile.source or 'not stated'}"]
-    finish(result, as_json=options.as_json, page=page, outputs=outputs, tables=options.table)
+    finish(result, page, as_json=options.as_json, outputs=outputs, tables=options.table)
 
 
 def _list_of(profiles: list[Camera]) -> Table:
@@ -105,7 +104,7 @@ def _figures_of(profile: Camera) -> Table:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EstimateOptions:
+class EstimateOptions(CameraFileOptions):
     """Options of ``cep camera estimate``."""
 
     flats: list[Path] = argument(
@@ -125,8 +124,6 @@ class EstimateOptions:
     gamma: str = option(
         "--gamma", "CURVE", "Curve of PNG and TIFF files: linear or srgb.", "linear"
     )
-    output: Path = output_option("Camera to write, .toml or .json.", Path("camera.toml"))
-    plot: PlotFile = None
     table: TableFile = None
     force: Force = False
     as_json: Json = False
@@ -148,19 +145,12 @@ def estimate(options: EstimateOptions) -> None:
     Example: cep camera estimate bright1.dng bright2.dng --dark dark1.dng dark2.dng
     """
     from cep.calibration.camera_from_frames import estimate_camera
-    from cep.plots import check_figure_name
     from motdiff.files.outputs import claim
 
+    options.check_names()
     output = options.output
-    if output.suffix.lower() not in (".toml", ".json"):
-        raise ValueError(f"{output}: a camera file must end in .json or .toml")
-    picture = options.plot or output.with_suffix(".png")
-    try:
-        check_figure_name(picture)
-    except ValueError as error:
-        raise ValueError(f"--plot: {error}") from None
     outputs = claim(
-        [output, picture, *table_files(options.table)],
+        [output, options.figure, *table_files(options.table)],
         force=options.force,
         # never written over, not even with --force
         inputs=[*options.flats, *(options.dark or ())],
@@ -178,7 +168,7 @@ def estimate(options: EstimateOptions) -> None:
     transfer = measured.transfer
     result = {
         "file": output,
-        "image": picture,
+        "image": options.figure,
         "camera": measured.camera.to_dict(),
         **transfer.to_dict(),
         "warnings": list(transfer.warnings),
@@ -195,14 +185,14 @@ def estimate(options: EstimateOptions) -> None:
     heads = ("mean above black, DN", "variance, DN²", "electrons", "use")
     finish(
         result,
-        as_json=options.as_json,
-        page=[
+        [
             transfer.summary,
             Table("photon transfer", heads, rows),
-            f"{output}: the camera, for --camera; the curve is in {picture}",
+            f"{output}: the camera, for --camera; the curve is in {options.figure}",
         ],
+        as_json=options.as_json,
         outputs=outputs,
         tables=options.table,
         summary=transfer.summary,
-        save=lambda staged: measured.save(staged[output], staged[picture]),
+        save=lambda staged: measured.save(staged[output], staged[options.figure]),
     )

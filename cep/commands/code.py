@@ -13,7 +13,6 @@ from cep.commands.options import (
     ChipNs,
     CodeSource,
     CommonOptions,
-    Figures,
     MotionOptions,
     TableFile,
     command,
@@ -41,7 +40,12 @@ _INVERSE = ("noise_gain_db", "dnf_db")  # infinite for a code with a zero
 class FigureOptions(MotionOptions, CommonOptions):
     """Options of a command that measures codes along a motion."""
 
-    figure: Figures = None
+    figure: list[str] | None = option(
+        "--figure",
+        "MODULE:NAME",
+        "Also a figure of merit of your own: a function of (trajectory, code) that returns a"
+        " number; may be repeated.",
+    )
     tables: TableFile = None
 
     def find_figures(self) -> dict[str, FigureOfMerit]:
@@ -166,9 +170,9 @@ def audit(options: AuditOptions) -> None:
 
     finish(
         result,
+        _audit_page(measured, verified, advice["verdict"]),
         as_json=options.as_json,
         tables=options.tables,
-        page=_audit_page(measured, verified, advice["verdict"]),
         outputs=outputs,
         save=save,
     )
@@ -316,8 +320,8 @@ def mtf(options: MtfOptions) -> None:
         curves = compare_mtfs(motion, codes, figures=figures, on_checked=outputs.check)
     finish(
         {"image": options.output, "curves": curves.to_dict(), "seed": options.seed},
+        [_mtf_table(curves, options.output)],
         as_json=options.as_json,
-        page=[_mtf_table(curves, options.output)],
         outputs=outputs,
         save=lambda temporary: curves.save(temporary[options.output]),
         tables=options.tables,

@@ -1,8 +1,10 @@
-"""Options that say which code is searched, and the problem that they make."""
+"""Options that say which code is searched, the problem that they make, and how a search ends."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -12,8 +14,10 @@ from cep.commands.options import CameraOptions, SceneOptions, option, output_opt
 from cep.search.objectives import OBJECTIVES
 
 if TYPE_CHECKING:
+    from cep.files.code_files import StoredCode
     from cep.optics.code import ShutterCode
     from cep.search.problem import Mix, Scenario, ScenarioRule, SearchProblem
+    from motdiff.files.outputs import Outputs
     from motdiff.trajectory import Trajectory
 
 # panels of the help pages
@@ -239,3 +243,33 @@ def ending(stopped: str, steps: int) -> str:
         "complete": "no other code keeps the limits",
         "proven": f"all {steps:.2g} codes counted",
     }[stopped]
+
+
+@contextmanager
+def saved_on_interrupt(outputs: Outputs) -> Iterator[Callable[[Mapping[Path, StoredCode]], None]]:
+    """Write codes on Ctrl-C that are found but not yet compared; another error names them.
+
+    What it yields is called with each file's code as soon as they are known.
+    """
+    from cep.files.code_files import write_code
+
+    codes: dict[Path, StoredCode] = {}
+    try:
+        yield codes.update
+    except KeyboardInterrupt:
+        if codes:
+            summary = in_bits(stored.code for stored in codes.values())
+            # the code alone: the rest is not made yet
+            with replace(outputs, paths=tuple(codes)).written(summary=summary) as staged:
+                for path, stored in codes.items():
+                    write_code(staged[path], stored)
+        raise
+    except Exception as error:
+        if codes:
+            error.add_note(f"found: {in_bits(stored.code for stored in codes.values())}")
+        raise
+
+
+def in_bits(codes: Iterable[ShutterCode]) -> str:
+    """Write codes for an error line."""
+    return ", ".join(code.bits for code in codes)

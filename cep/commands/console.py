@@ -120,9 +120,9 @@ Page = Iterable[str | Table]
 
 def finish(
     result: Mapping[str, object],
+    page: Page = (),
     *,
     as_json: bool,
-    page: Page = (),
     outputs: Outputs | None = None,
     save: Callable[[Mapping[Path, Path]], object] = lambda _staged: None,
     tables: Path | None = None,
@@ -134,8 +134,8 @@ def finish(
     ----------
     result : mapping
         ``warnings``, where present, go to stderr for people.
-    as_json : bool
     page : iterable of str and Table
+    as_json : bool
     outputs : Outputs, optional
         Files to write.
     save : function, optional
@@ -200,17 +200,32 @@ def lines_of(program: str) -> Iterator[None]:
 
 def warn(message: str) -> None:
     """Print one warning line on stderr."""
-    _print_line(f"{_program}: warning: {message}")
+    announce(f"warning: {message}")
 
 
 def announce(message: str) -> None:
-    """Print what is known already, while the work goes on, as one line on stderr."""
-    _print_line(f"{_program}: {message}")
+    """Print one line on stderr: an error, or what is known already while the work goes on."""
+    from cep.files.foreign_text import terminal_line
+
+    line = terminal_line(f"{_program}: {message}")
+    print(line, file=sys.stderr)  # noqa: T201 - the one place that writes to people's stderr
 
 
-def complain(message: str) -> None:
-    """Print one error line on stderr."""
-    _print_line(f"{_program}: {message}")
+def end(*, missing: int, failed: int) -> None:
+    """End a command of many parts, whose outputs are written, with the exit code of the run.
+
+    Raises
+    ------
+    typer.Exit
+        130 where Ctrl-C left parts out, else 1 where parts failed.
+    """
+    import typer
+
+    # an interrupted run says so, whatever has failed before
+    if missing:
+        raise typer.Exit(INTERRUPTED)
+    if failed:
+        raise typer.Exit(FAILURE)
 
 
 def explain(error: BaseException) -> int:
@@ -246,7 +261,7 @@ def explain(error: BaseException) -> int:
         line = str(error)
     else:  # a fault of the program: its kind helps whoever reports it
         line = f"{type(error).__name__}: {error}"
-    complain(line + notes)
+    announce(line + notes)
     return code
 
 
@@ -323,9 +338,3 @@ def _rich_cell(value: object) -> Text:
 def _grid_width(widths: Iterable[int]) -> int:
     """Width of a table: Rich puts three characters between columns, and one at both ends."""
     return sum(width + 3 for width in widths) - 1
-
-
-def _print_line(text: str) -> None:
-    from cep.files.foreign_text import terminal_line
-
-    print(terminal_line(text), file=sys.stderr)  # noqa: T201 - the one place that writes to people's stderr

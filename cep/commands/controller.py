@@ -70,11 +70,7 @@ def info(options: InfoOptions) -> None:
         "trust": f"{controller.trust} at most",
     }
     rows = [(name.replace("_", " "), str(value)) for name, value in result.items()]
-    finish(
-        result,
-        as_json=options.as_json,
-        page=[Table(options.port, ("", ""), rows)],
-    )
+    finish(result, [Table(options.port, ("", ""), rows)], as_json=options.as_json)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +94,8 @@ def trigger(options: PortOptions) -> None:
         status = shutter.play()
     finish(
         _confirmed(options.port, status),
+        [f"{options.port}: played, 0 edges missed, shutter closed"],
         as_json=options.as_json,
-        page=[f"{options.port}: played, 0 edges missed, shutter closed"],
     )
 
 
@@ -124,11 +120,7 @@ def abort(options: AbortOptions) -> None:
     words = [f"{options.port}: closed"]
     if status is not None:  # only CXP controllers tell their state
         words.append(_name(status))
-    finish(
-        _confirmed(options.port, status),
-        as_json=options.as_json,
-        page=[", ".join(words)],
-    )
+    finish(_confirmed(options.port, status), [", ".join(words)], as_json=options.as_json)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -169,12 +161,12 @@ def calibrate(options: CalibrateOptions) -> None:
     }
     finish(
         result,
-        as_json=options.as_json,
-        page=[
+        [
             f"{options.port}: clock is {abs(fit.ppm):.0f} ppm"
             f" {'fast' if fit.ppm >= 0 else 'slow'} (± {fit.uncertainty_ppm:.0f});"
             f" --clock-ppm {fit.ppm:.0f} takes it out"
         ],
+        as_json=options.as_json,
     )
 
 
@@ -212,7 +204,7 @@ def _list_ports(*, ask: bool, as_json: bool) -> None:
     if rows:
         heads = ("port", "description", "USB serial number", "controller")
         page = [Table("serial ports", heads, rows)]
-    finish({"ports": ports}, as_json=as_json, page=page)
+    finish({"ports": ports}, page, as_json=as_json)
 
 
 def _watch(port: str, seconds: float, *, as_json: bool) -> None:
@@ -248,8 +240,8 @@ def _watch(port: str, seconds: float, *, as_json: bool) -> None:
             time.sleep(min(_LOOK_S, max(0.0, start_s + seconds - time.monotonic())))
     finish(
         {"port": port, "looks": looks, "changes": changes},
+        [f"{port}: {looks} looks, {len(changes)} states seen"],
         as_json=as_json,
-        page=[f"{port}: {looks} looks, {len(changes)} states seen"],
     )
 
 

@@ -5,12 +5,12 @@ Several photos of one scene and motion, each through its own code, are restored 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.commands.commands import with_photo_file
-from cep.commands.console import Page, finish, part, progress
+from cep.commands.console import Page, Tick, finish, part, progress
 from cep.commands.options import (
     MOTION,
     CameraOptions,
@@ -28,7 +28,9 @@ from cep.restoration.registry import METHODS, find_method
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from cep.files.images import Photo
     from cep.files.shot_files import ShotRecord
+    from cep.optics.code import ShutterCode
     from cep.restoration.result import Restoration
     from motdiff.trajectory import Trajectory
 
@@ -167,182 +169,154 @@ def deblur(options: DeblurOptions) -> None:
 
     Example: cep deblur a.png b.png --code raskar-52 --code complement:raskar-52 -o sharp.png
     """
-    if len(options.images) > 1:
-        _deblur_together(options)
-        return
-    with progress("restoring") as tick:
-        tick(0.0, "reading the photo")
-        from cep.codes.sources import load_code
-        from cep.files.images import check_image_name, parse_gamma, read_photo
-        from motdiff.files.outputs import claim
-
-        parse_gamma(options.gamma)
-        code = None
-        if options.codes:
-            code = load_code(options.codes[0])
-        target = options.target
-        check_image_name(target)
-        outputs = claim([target], force=options.force, inputs=[options.image])
-
-        from cep.calibration.photo_checks import check_photo, check_texture
-        from cep.files.psf_files import load_psf
-        from cep.files.raw_files import RAW_SUFFIXES
-        from cep.files.shot_files import read_shot, record_beside
-        from cep.optics.path_limits import check_resolved
-        from cep.restoration.restore import restore
-
-        options.check()
-        record = record_beside(options.image)
-        inputs: dict[str, Any] = {}
-        warnings: list[str] = []
-        if options.has_camera:
-            inputs["camera"] = options.load_camera()
-        if options.has_motion:
-            inputs["trajectory"] = options.load_motion().trajectory
-            if code is not None:
-                check_resolved(inputs["trajectory"], code.chips)
-        if options.psf is not None:
-            inputs["psf"], doubts = load_psf(options.psf)
-            warnings += doubts
-        if record is None:
-            photo = read_photo(options.image, gamma=options.gamma)
-        else:
-            photo = read_shot(options.image, record)
-            warnings += [f"{options.image}: does not count: {text}" for text in record.problems]
-            if options.psf is None:
-                code = code or record.code
-                if not options.has_motion and record.trajectory is not None:
-                    inputs["trajectory"] = record.trajectory
-            if record.noise is not None and options.method in ("auto", "pnp", "wiener"):
-                inputs.setdefault("camera", record.noise)
-        is_blind = not inputs.keys() & {"trajectory", "psf"}
-        try:
-            if options.is_photo_alone and record is None:
-                check_photo(photo.pixels, "motdiff")
-            elif is_blind:
-                check_photo(photo.pixels, "pmp")
-            else:
-                check_texture(photo.pixels)
-        except ValueError as error:
-            raise ValueError(f"{options.image}: {str(error).removeprefix('photo: ')}") from None
-        tick(0.05, "searching the PSF" if is_blind else "restoring")
-        restored = restore(
-            photo.pixels,
-            code=code,
-            method=options.method,
-            anyway=options.anyway,
-            seed=options.seed,
-            progress=part(tick, 0.05, 0.98),
-            **inputs,
-        )
-        if record is not None:
-            restored = restored.below_white()
-        # a floating-point or RAW file is linear whatever is said of it; a PSF that was found in
-        # the photo fits the curve on which it was searched
-        is_curved = photo.bits < 32 and options.image.suffix.lower() not in RAW_SUFFIXES
-        if record is None and is_curved and options.gamma == "srgb" and not is_blind:
-            from cep.restoration.sharpen import looks_linear
-
-            if looks_linear(photo.pixels, restored.psf):
-                warnings.append(
-                    f"{options.image}: the motion fits better if its code values are light and not"
-                    " on the sRGB curve: if it is a linear file, give --gamma linear"
-                )
-        with outputs.written() as folder:
-            restored.save(folder[target], bits=photo.bits, gamma=options.gamma)
-        tick(1.0)
-    result = {
-        "image": target,
-        **restored.to_dict(),
-        "seed": options.seed,
-        "warnings": [*photo.warnings, *warnings, *restored.warnings],
-    }
-    finish(
-        result,
-        as_json=options.as_json,
-        page=_page(restored, target),
-    )
-
-
-def _deblur_together(options: DeblurOptions) -> None:
-    """Restore one scene from several photos of one motion, each through its own code."""
     images = options.images
     with progress("restoring") as tick:
-        tick(0.0, "reading the photos")
-        from cep.calibration.photo_checks import check_apart, check_photos, check_times
-        from cep.codes.sources import code_file, load_codes
-        from cep.files.images import check_image_name, parse_gamma
-        from cep.files.shot_files import read_light, record_beside
-        from cep.optics.path_limits import check_resolved
-        from cep.restoration.together import restore_together
+        tick(0.0, "reading the photos" if len(images) > 1 else "reading the photo")
+        from cep.codes.sources import load_codes
+        from cep.files.images import check_image_name, parse_gamma, read_photo
+        from cep.files.shot_files import read_shot, record_beside
         from motdiff.files.outputs import claim
 
         options.check()
         parse_gamma(options.gamma)
+        codes = load_codes(options.codes or [])
         check_image_name(options.target)
-        sources = options.codes or []
-        code_files = filter(None, map(code_file, sources))
-        outputs = claim([options.target], force=options.force, inputs=[*images, *code_files])
+        outputs = claim([options.target], force=options.force, inputs=images)
         records = [record_beside(image) for image in images]
-        codes = load_codes(sources)
-        if not codes:
-            codes = tuple(record.code for record in records if record is not None)
-        if len(codes) != len(images):
-            raise ValueError(
-                f"--code: needs one for each photo, got {len(codes)} for {len(images)} photos"
-            )
-        check_times(codes)
-        cameras = [None if record is None else record.noise for record in records]
-        if options.has_camera:
-            cameras = [options.load_camera()] * len(images)
-        trajectory = _stated_motion(images, records)
-        if options.has_motion:
-            trajectory = options.load_motion().trajectory
-        if trajectory is not None:
-            check_resolved(trajectory, codes[0].chips)
-        photos = [read_light(image, gamma=options.gamma) for image in images]
+        photos = [
+            read_photo(image, gamma=options.gamma) if record is None else read_shot(image, record)
+            for image, record in zip(images, records, strict=True)
+        ]
         warnings = [line for photo in photos for line in photo.warnings]
-        for image, record in zip(images, records, strict=True):
-            problems = () if record is None else record.problems
-            warnings += [f"{image}: does not count: {text}" for text in problems]
-        pixels = [photo.pixels for photo in photos]
+        warnings += [
+            f"{image}: does not count: {problem}"
+            for image, record in zip(images, records, strict=True)
+            if record is not None
+            for problem in record.problems
+        ]
         try:
-            check_photos(pixels, "coded")
-            check_apart(pixels)
-            restored = restore_together(
-                pixels,
-                codes,
-                trajectory,
-                cameras=cameras,
-                seed=options.seed,
-                progress=part(tick, 0.02, 0.98),
-            )
+            if len(images) > 1:
+                restored = _restored_together(options, photos, records, codes, tick)
+            else:
+                restored = _restored(options, photos[0], records[0], codes, tick)
         except ValueError as error:
             raise ValueError(with_photo_file(str(error), images)) from None
-        restored = restored.below_white()
+        if any(record is not None for record in records) or len(images) > 1:
+            restored = restored.below_white()
         with outputs.written() as folder:
             restored.save(folder[options.target], bits=photos[0].bits, gamma=options.gamma)
         tick(1.0)
-    result = {
-        "images": images,
+    result: dict[str, object] = {
         "image": options.target,
         **restored.to_dict(),
         "seed": options.seed,
         "warnings": [*warnings, *restored.warnings],
     }
-    motion = f"along the given motion, direction {restored.direction}"
-    if restored.psf_confidence is not None:
-        motion = (
-            "along the motion found in them, which is right with probability"
-            f" {restored.psf_confidence:.2f}"
+    if len(images) > 1:
+        result = {"images": images, **result}
+    finish(result, _page(restored, options), as_json=options.as_json)
+
+
+def _restored(
+    options: DeblurOptions,
+    photo: Photo,
+    record: ShotRecord | None,
+    codes: Sequence[ShutterCode],
+    tick: Tick,
+) -> Restoration:
+    """Restore a single photo with what the options and its record say of it."""
+    from cep.calibration.photo_checks import check_photos, check_texture
+    from cep.files.psf_files import load_psf
+    from cep.files.raw_files import RAW_SUFFIXES
+    from cep.optics.path_limits import check_resolved
+    from cep.restoration.restore import restore
+    from cep.restoration.sharpen import looks_linear
+
+    code = codes[0] if codes else None
+    inputs: dict[str, Any] = {}
+    doubts: tuple[str, ...] = ()
+    if options.has_camera:
+        inputs["camera"] = options.load_camera()
+    if options.has_motion:
+        inputs["trajectory"] = options.load_motion().trajectory
+        if code is not None:
+            check_resolved(inputs["trajectory"], code.chips)
+    if options.psf is not None:
+        inputs["psf"], doubts = load_psf(options.psf)
+    if record is not None:
+        if options.psf is None:
+            code = code or record.code
+            if not options.has_motion and record.trajectory is not None:
+                inputs["trajectory"] = record.trajectory
+        if record.noise is not None and options.method in ("auto", "pnp", "wiener"):
+            inputs.setdefault("camera", record.noise)
+    is_blind = not inputs.keys() & {"trajectory", "psf"}
+    if is_blind:
+        is_alone = options.is_photo_alone and record is None
+        check_photos([photo.pixels], "motdiff" if is_alone else "pmp")
+    else:
+        try:
+            check_texture(photo.pixels)
+        except ValueError as error:
+            raise ValueError(f"photo: {error}") from None
+    tick(0.05, "searching the PSF" if is_blind else "restoring")
+    restored = restore(
+        photo.pixels,
+        code=code,
+        method=options.method,
+        anyway=options.anyway,
+        seed=options.seed,
+        progress=part(tick, 0.05, 0.98),
+        **inputs,
+    )
+    # a floating-point or RAW file is linear whatever is said of it; a PSF that was found in the
+    # photo fits the curve on which it was searched
+    is_curved = photo.bits < 32 and options.image.suffix.lower() not in RAW_SUFFIXES
+    may_be_linear = record is None and is_curved and options.gamma == "srgb" and not is_blind
+    if may_be_linear and looks_linear(photo.pixels, restored.psf):
+        doubts += (
+            f"{options.image}: the motion fits better if its code values are light and not on the"
+            " sRGB curve: if it is a linear file, give --gamma linear",
         )
-    finish(
-        result,
-        as_json=options.as_json,
-        page=[
-            f"{options.target}: restored from {len(images)} photos together, {motion};"
-            f" {_figures(restored)}"
-        ],
+    return replace(restored, warnings=(*doubts, *restored.warnings))
+
+
+def _restored_together(
+    options: DeblurOptions,
+    photos: Sequence[Photo],
+    records: Sequence[ShotRecord | None],
+    codes: Sequence[ShutterCode],
+    tick: Tick,
+) -> Restoration:
+    """Restore one scene from several photos of one motion, each through its own code."""
+    from cep.calibration.photo_checks import check_apart, check_photos, check_times
+    from cep.optics.path_limits import check_resolved
+    from cep.restoration.together import restore_together
+
+    codes = codes or [record.code for record in records if record is not None]
+    if len(codes) != len(photos):
+        raise ValueError(
+            f"--code: needs one for each photo, got {len(codes)} for {len(photos)} photos"
+        )
+    check_times(codes)
+    cameras = [None if record is None else record.noise for record in records]
+    if options.has_camera:
+        cameras = [options.load_camera()] * len(photos)
+    trajectory = _stated_motion(options.images, records)
+    if options.has_motion:
+        trajectory = options.load_motion().trajectory
+    if trajectory is not None:
+        check_resolved(trajectory, codes[0].chips)
+    pixels = [photo.pixels for photo in photos]
+    check_photos(pixels, "coded")
+    check_apart(pixels)
+    return restore_together(
+        pixels,
+        codes,
+        trajectory,
+        cameras=cameras,
+        seed=options.seed,
+        progress=part(tick, 0.02, 0.98),
     )
 
 
@@ -366,28 +340,33 @@ def _stated_motion(
     return motions[0][1] if motions else None
 
 
-def _figures(restored: Restoration) -> str:
-    """Say what the photo leaves unexplained, and how wide its border is."""
-    return (
+def _page(restored: Restoration, options: DeblurOptions) -> Page:
+    """Say how the photo was restored, what it leaves unexplained, and how wide its border is."""
+    target = options.target
+    if restored.kept:
+        return [f"{restored.summary}; --anyway restores it all the same.", f"{target}"]
+    figures = (
         f"residual {restored.residual:.3g} of full scale; the outer {restored.unreliable_px} px"
         " lean on a guess"
     )
-
-
-def _page(restored: Restoration, target: Path) -> Page:
-    """Say how the photo was restored."""
-    if restored.kept:
-        return [f"{restored.summary}; --anyway restores it all the same.", f"{target}"]
-    figures = _figures(restored)
     if restored.summary:
         return [f"{restored.summary}.", f"{target}; {figures}"]
-    if restored.psf_source == "photo":
+    confidence = restored.psf_confidence
+    if len(options.images) > 1:
+        motion = f"along the given motion, direction {restored.direction}"
+        if confidence is not None:
+            motion = (
+                f"along the motion found in them, which is right with probability {confidence:.2f}"
+            )
+        about = f"restored from {len(options.images)} photos together, {motion};"
+    elif restored.psf_source == "photo":
         about = (
             "restored with the PSF found in this photo alone, which is good with probability"
-            f" {restored.psf_confidence:.2f}; its order in time is not known; {restored.method}"
+            f" {confidence:.2f}; its order in time is not known; {restored.method},"
         )
     else:
         about = f"{restored.method}, direction {restored.to_dict()['direction']}"
         if restored.direction_test is not None:
             about += f" (confidence {restored.direction_test.confidence:.2f})"
-    return [f"{target}: {about}, {figures}"]
+        about += ","
+    return [f"{target}: {about} {figures}"]

@@ -132,11 +132,11 @@ def demo(options: DemoOptions) -> None:
             photo_lines.append(f"{options.output / 'sharpened.png'}")
     finish(
         {**figures, "seconds": seconds},
-        as_json=options.as_json,
-        page=[
+        [
             *photo_lines,
             chain.verdict,
             *shots,
             f"The report is {figures['report']} ({seconds:.0f} s)",
         ],
+        as_json=options.as_json,
     )

@@ -89,7 +89,7 @@ def emulate(options: EmulateOptions) -> None:
     line = f"{board}: {len(edges)} edges of the shutter"
     if vcd is not None:
         line += f", in {vcd}"
-    finish(result, as_json=options.as_json, page=[line])
+    finish(result, [line], as_json=options.as_json)
 
 
 def _run(uno: EmulatedUno, seconds: float | None) -> None:

@@ -67,8 +67,8 @@ def export(options: ExportOptions) -> None:
     )
     finish(
         result,
+        [line],
         as_json=options.as_json,
-        page=[line],
         outputs=outputs,
         save=lambda staged: write_text(staged[target], text),
     )
@@ -143,9 +143,9 @@ def upload(options: UploadOptions) -> None:
             state += f" for {report.lease_ms} ms"
     finish(
         result,
-        as_json=options.as_json,
-        page=[
+        [
             f"{report.port}: {program.chips} chips of {program.chip_ns} ns loaded, trust"
             f" {report.trust}: {report.trust.meaning}{state}"
         ],
+        as_json=options.as_json,
     )

@@ -25,7 +25,7 @@ from cep.commands import (
     studio,
 )
 from cep.commands.commands import Command, Group
-from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, complain, explain, warn
+from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, announce, explain, warn
 
 # commands of earlier versions that are not part of the product
 _MOVED = {
@@ -147,11 +147,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     words = list(arguments) or ["--help"]
     for name in (words[0], " ".join(words[:2])):
         if name in _MOVED:
-            complain(f"{name} {_MOVED[name]}")
+            announce(f"{name} {_MOVED[name]}")
             return BAD_INPUT
     for option in (word.partition("=")[0] for word in words[1:]):
         if successor := _MOVED_OPTIONS.get(words[0], {}).get(option):
-            complain(f"{option} {successor}")
+            announce(f"{option} {successor}")
             return BAD_INPUT
     return run_app(app, words, name="cep")
 
@@ -171,7 +171,7 @@ def run_app(app: typer.Typer, arguments: Sequence[str], *, name: str) -> int:
         # in standalone mode click would print errors in its own way, and exit
         outcome = app(args=list(arguments), prog_name=name, standalone_mode=False)
     except (KeyboardInterrupt, typer.Abort):
-        complain("interrupted")
+        announce("interrupted")
         return INTERRUPTED
     except BrokenPipeError:
         # the reader has gone (as in cep ... | head): nothing to say, and nobody to say it to;
@@ -181,7 +181,7 @@ def run_app(app: typer.Typer, arguments: Sequence[str], *, name: str) -> int:
     except Exception as error:
         return explain(error)
     if outcome == INTERRUPTED:
-        complain("interrupted")  # typer has turned Ctrl-C into this exit code
+        announce("interrupted")  # typer has turned Ctrl-C into this exit code
     return outcome if isinstance(outcome, int) else 0  # what a command returns is not its code
 
 

@@ -15,10 +15,10 @@ from cep.commands.code_options import (
     ending,
     objective_mix,
     openings,
+    saved_on_interrupt,
 )
 from cep.commands.console import Page, Table, announce, finish, progress
 from cep.commands.options import MOTION, CommonOptions, MotionOptions, command, option
-from cep.commands.search_run import saved_on_interrupt
 
 if TYPE_CHECKING:
     from cep.search.optimize import Optimum
@@ -165,8 +165,8 @@ def optimize(options: OptimizeOptions) -> None:
             "warnings": best.warnings,
             "seed": options.seed,
         },
+        _page(best, options.output),
         as_json=options.as_json,
-        page=_page(best, options.output),
         outputs=outputs,
         save=lambda staged: best.save(staged[options.output], source=source),
         summary=best.code.bits,

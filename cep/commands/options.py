@@ -26,6 +26,7 @@ COMMON = "Common options"
 MOTION = "Motion"
 CAMERA = "Camera"
 SCENE = "Scene"
+MANY = "Folders and benchmarks"  # work that is cut into parts
 
 Json = Annotated[
     bool,
@@ -70,24 +71,6 @@ Gamma = Annotated[
         "--gamma", metavar="CURVE", help="Curve of the photo: srgb, linear, or an exponent as 2.2."
     ),
 ]
-TrajectoryFile = Annotated[
-    Path | None,
-    typer.Option(
-        "--trajectory",
-        metavar="FILE",
-        help="A trajectory.json, as cep calibrate writes it.",
-        rich_help_panel=MOTION,
-    ),
-]
-Linear = Annotated[
-    float | None,
-    typer.Option(
-        "--linear",
-        metavar="PX",
-        help="Straight and uniform motion, this many px long.",
-        rich_help_panel=MOTION,
-    ),
-]
 CodeSource = Annotated[
     str,
     typer.Argument(
@@ -99,44 +82,14 @@ ChipNs = Annotated[
     int | None,
     typer.Option("--chip-ns", metavar="NS", min=1, help="Chip time, ns; replaces the file's."),
 ]
-CameraFile = Annotated[
-    str | None,
+Workers = Annotated[
+    int | None,
     typer.Option(
-        "--camera",
-        metavar="NAME|FILE",
-        rich_help_panel=CAMERA,
-        help="A camera that cep camera list shows, or a .json or .toml file with its figures.",
-    ),
-]
-Figures = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--figure",
-        metavar="MODULE:NAME",
-        help="Also a figure of merit of your own: a function of (trajectory, code) that returns a"
-        " number; may be repeated.",
-    ),
-]
-Photons = Annotated[
-    float | None,
-    typer.Option(
-        "--photons", metavar="N", help="Photo-electrons at full scale.", rich_help_panel=CAMERA
-    ),
-]
-ReadNoise = Annotated[
-    float | None,
-    typer.Option(
-        "--read-noise", metavar="N", help="Read noise, electrons rms.", rich_help_panel=CAMERA
-    ),
-]
-SceneSource = Annotated[
-    str,
-    typer.Option(
-        "--scene",
-        metavar="NAME|PHOTO",
-        rich_help_panel=SCENE,
-        help="What is photographed: photo (any), text, texture, flat-part, or a sharp photo of it,"
-        " on whose parts gains are measured. Of text, texture and flat-part they are a model's.",
+        "--workers",
+        metavar="N",
+        min=1,
+        rich_help_panel=MANY,
+        help="Processes of one thread; as many as cores when omitted.",
     ),
 ]
 
@@ -242,8 +195,12 @@ def command(options: type[Options]) -> Callable[[Callable[[Options], None]], Cal
 class MotionOptions:
     """The motion of a command: ``--trajectory`` or ``--linear``."""
 
-    trajectory: TrajectoryFile = None
-    linear: Linear = None
+    trajectory: Path | None = option(
+        "--trajectory", "FILE", "A trajectory.json, as cep calibrate writes it.", panel=MOTION
+    )
+    linear: float | None = option(
+        "--linear", "PX", "Straight and uniform motion, this many px long.", panel=MOTION
+    )
 
     @property
     def has_motion(self) -> bool:
@@ -280,9 +237,18 @@ class MotionOptions:
 class CameraOptions:
     """The camera of a command: ``--camera``, changed by ``--photons`` and ``--read-noise``."""
 
-    camera: CameraFile = None
-    photons: Photons = None
-    read_noise: ReadNoise = None
+    camera: str | None = option(
+        "--camera",
+        "NAME|FILE",
+        "A camera that cep camera list shows, or a .json or .toml file with its figures.",
+        panel=CAMERA,
+    )
+    photons: float | None = option(
+        "--photons", "N", "Photo-electrons at full scale.", panel=CAMERA
+    )
+    read_noise: float | None = option(
+        "--read-noise", "N", "Read noise, electrons rms.", panel=CAMERA
+    )
 
     @property
     def has_camera(self) -> bool:
@@ -309,7 +275,14 @@ class CameraOptions:
 class SceneOptions:
     """The scene of a command: ``--scene``, a name or a photo."""
 
-    scene: SceneSource = "photo"
+    scene: str = option(
+        "--scene",
+        "NAME|PHOTO",
+        "What is photographed: photo (any), text, texture, flat-part, or a sharp photo of it,"
+        " on whose parts gains are measured. Of text, texture and flat-part they are a model's.",
+        "photo",
+        panel=SCENE,
+    )
 
     @property
     def scene_file(self) -> Path | None:
@@ -356,6 +329,30 @@ class SceneOptions:
             return photo.crops(paths)
         except ValueError as error:
             raise ValueError(f"--scene: {error}") from None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraFileOptions:
+    """The camera that is measured: its file, and the figure of the measurement."""
+
+    output: Path = output_option("Camera to write, .toml or .json.", Path("camera.toml"))
+    plot: PlotFile = None
+
+    @property
+    def figure(self) -> Path:
+        """File of the figure."""
+        return self.plot or self.output.with_suffix(".png")
+
+    def check_names(self) -> None:
+        """Refuse names of other files than are written."""
+        from cep.plots import check_figure_name
+
+        if self.output.suffix.lower() not in (".toml", ".json"):
+            raise ValueError(f"{self.output}: a camera file must end in .json or .toml")
+        try:
+            check_figure_name(self.figure)
+        except ValueError as error:
+            raise ValueError(f"--plot: {error}") from None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from cep.commands.code_options import exposure_seconds
-from cep.commands.console import complain, finish, progress
+from cep.commands.console import announce, finish, progress
 from cep.commands.options import (
     ChipNs,
     Force,
@@ -20,8 +20,14 @@ from cep.commands.options import (
     option,
     output_option,
 )
-from cep.commands.shoot_calibration import calibrate_in_loop, calibrate_with_set
-from cep.commands.shots import doubts, end_unless_counted, headline, taken
+from cep.commands.shots import (
+    calibrate_in_loop,
+    calibrate_with_set,
+    doubts,
+    end_unless_counted,
+    headline,
+    taken,
+)
 
 if TYPE_CHECKING:
     from cep.optics.code import ShutterCode
@@ -231,7 +237,7 @@ def _photos(options: ShootOptions) -> None:
         lines.append(f"{len(shots)} photos: {alike}")
     lines.append(_next(files, restored))
     result["warnings"] = doubts(shots)
-    finish(result, as_json=options.as_json, page=lines)
+    finish(result, lines, as_json=options.as_json)
     end_unless_counted(files, shots)
 
 
@@ -264,9 +270,9 @@ def _arm(options: ShootOptions, count: str) -> None:
         f"{options.port}: played {belt.plays}{of} times in {belt.seconds:.1f} s,"
         f" {belt.missed_edges} edges missed, shutter closed"
     )
-    finish({"port": options.port, **vars(belt)}, as_json=options.as_json, page=[line])
+    finish({"port": options.port, **vars(belt)}, [line], as_json=options.as_json)
     if plays and belt.plays < plays:
-        complain(f"no trigger within {options.wait}: {plays - belt.plays} plays are missing")
+        announce(f"no trigger within {options.wait}: {plays - belt.plays} plays are missing")
         raise typer.Exit(1)
 
 
@@ -293,13 +299,13 @@ def _wiring(options: ShootOptions) -> None:
     lines = wiring_lines(boards)
     result: dict[str, object] = {"camera": kind, "wiring": lines}
     if picture is None or not boards:
-        finish(result, as_json=options.as_json, page=lines)
+        finish(result, lines, as_json=options.as_json)
         return
     figure = wiring_figure(boards)
     finish(
         result | {"picture": picture},
+        [*lines, f"{picture}: the same, drawn"],
         as_json=options.as_json,
-        page=[*lines, f"{picture}: the same, drawn"],
         outputs=claim([picture], force=options.force),
         save=lambda staged: save(figure, staged[picture]),
     )

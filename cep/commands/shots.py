@@ -1,4 +1,4 @@
-"""Photos of ``cep shoot``: taken one after the other, and what is said of them."""
+"""Photos of ``cep shoot``: taken one after the other, for themselves or for a calibration."""
 
 from __future__ import annotations
 
@@ -8,12 +8,16 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from cep.commands.console import complain, progress
+from cep.commands.commands import with_photo_file
+from cep.commands.console import FAILURE, announce, finish, progress
 
 if TYPE_CHECKING:
+    from cep.calibration.calibrate import Calibration
+    from cep.calibration.closed_loop import CalibrationStep
     from cep.commands.shoot import ShootOptions
     from cep.optics.code import ShutterCode
     from cep.shutter.rig import Shot
+    from motdiff.types import FloatArray
 
 
 def taken(
@@ -73,7 +77,162 @@ def end_unless_counted(files: list[Path], shots: list[Shot]) -> None:
     """End the command with exit code 1 where the last photo does not count."""
     if not shots[-1].counts:
         problems = "; ".join(shots[-1].record.problems)
-        complain(
+        announce(
             f"{files[-1]} does not count: {problems}; {len(shots) - 1} photos before it count"
         )
-        raise typer.Exit(1)
+        raise typer.Exit(FAILURE)
+
+
+def calibrate_with_set(options: ShootOptions, folder: Path) -> None:
+    """Take the photos of a calibration set, and estimate the motion from them."""
+    from cep.calibration.calibrate import CALIBRATION_FILES, estimate_motion
+    from cep.calibration.calibration_set import SET_FILE, SET_SCHEMA
+    from cep.optics.code import ShutterCode
+    from motdiff.files.inputs import one_line
+    from motdiff.files.json_files import fault, load_schema, read_versioned
+    from motdiff.files.outputs import claim_folder
+
+    source = folder / SET_FILE
+    document = read_versioned(source, SET_SCHEMA)
+    if (wrong := fault(document, load_schema("cep.files", "calibration-set"))) is not None:
+        raise ValueError(f"{source}: {wrong}")
+    chip_ns = options.chip_ns or int(document["chip_ns"])
+    try:
+        codes = [ShutterCode(photo["bits"], chip_ns) for photo in document["photos"]]
+    except ValueError as error:
+        raise ValueError(f"{source}: {one_line(error)}") from None
+    motion_folder = options.output / "motion"
+    claim_folder(motion_folder, CALIBRATION_FILES, force=options.force)
+    stems = [f"P{number}" for number in range(1, len(codes) + 1)]
+    shots, files, _ = taken(options, codes, stems)
+    result: dict[str, object] = {"photos": files, "counts": shots[-1].counts}
+    lines = [headline(files, shots)]
+    if shots[-1].counts:
+        with progress("estimating the motion") as tick:
+            lights = [shot.record.light(shot.frame.values) for shot in shots]
+            calibration = estimate_motion(lights, codes=codes, progress=tick)
+            about = {"images": list(map(str, files)), "codes": [code.bits for code in codes]}
+            paths = calibration.save(motion_folder, source=about, force=options.force)
+        result |= {"trajectory": paths["trajectory.json"], "confidence": calibration.confidence}
+        about_motion, command = _motion_lines(
+            calibration, paths["trajectory.json"], photos=len(files), code=codes[0]
+        )
+        lines = [about_motion, *lines, command]
+    result["warnings"] = doubts(shots)
+    finish(result, lines, as_json=options.as_json)
+    end_unless_counted(files, shots)
+
+
+def _motion_lines(
+    calibration: Calibration,
+    trajectory: Path,
+    *,
+    photos: int,
+    code: ShutterCode,
+) -> list[str]:
+    """Say what motion the photos show, and the command that searches a code for it."""
+    return [
+        f"{trajectory.parent}: path of {calibration.best.length_px:.1f} px from {photos} photos,"
+        f" in this order in time with probability {calibration.confidence:.2f}",
+        f"then: cep optimize --trajectory {trajectory} --chips {code.chips} --exposure"
+        f" {code.duration_ns * 1e-6:g}ms -o code.json",
+    ]
+
+
+def calibrate_in_loop(options: ShootOptions) -> None:
+    """Take photos of one motion, each code chosen by those before, until its order is sure."""
+    from cep.calibration.calibrate import CALIBRATION_FILES
+    from cep.calibration.closed_loop import MOST_PHOTOS, calibration_steps
+    from cep.commands.code_options import STANDARD_CHIPS
+    from cep.optics.path_limits import check_resolved
+    from cep.shutter.shoot import open_rig
+    from cep.shutter.shot_folder import ShotFolder
+    from hw.cameras.camera import CameraError
+    from motdiff.files.outputs import claim_folder
+
+    stems = [f"P{number}" for number in range(1, MOST_PHOTOS + 1)]
+    folder = ShotFolder(options.output, stems, force=options.force)
+    motion_folder = options.output / "motion"
+    claim_folder(motion_folder, CALIBRATION_FILES, force=options.force)
+    settings = options.settings()
+    if settings.motion is not None:
+        check_resolved(settings.motion, STANDARD_CHIPS)
+    assert options.camera is not None
+    shots: list[Shot] = []
+    steps: list[CalibrationStep] = []
+
+    def save(step: CalibrationStep) -> Path:
+        paths = step.calibration.save(
+            motion_folder,
+            source={
+                "images": list(map(str, folder.files)),
+                "codes": [code.bits for code in step.codes],
+            },
+            force=options.force or len(steps) > 1,  # over that of the photos before
+        )
+        return paths["trajectory.json"]
+
+    with progress("calibrating") as tick, open_rig(options.camera, options.port) as rig:
+
+        def take(code: ShutterCode) -> FloatArray:
+            rig.prepare(code, settings)
+            shots.extend(rig.series(1, keep=folder.keep))
+            if not shots[-1].counts:
+                raise CameraError(f"{folder.files[-1]} {shots[-1].verdict}")
+            return shots[-1].record.light(shots[-1].frame.values)
+
+        if rig.controller is None:
+            raise ValueError(
+                f"--calibrate: camera {rig.camera.name}: each photo needs the motion anew; a video"
+                " has it once"
+            )
+        try:
+            for step in calibration_steps(
+                take,
+                chips=STANDARD_CHIPS,
+                chip_ns=options.chip_ns or 1_000_000,
+                device=rig.controller.limits,
+                progress=lambda share, note: tick(
+                    (len(steps) + share) / MOST_PHOTOS, f"photo {len(steps) + 1}: {note}"
+                ),
+            ):
+                steps.append(step)
+                trajectory = save(step)  # each: what fails later does not cost it
+        except BaseException as error:  # Ctrl-C as well: the photos are there
+            if folder.files:
+                error.add_note(f"photos so far: {', '.join(map(str, folder.files))}")
+            if isinstance(error, ValueError):
+                raise ValueError(with_photo_file(str(error), folder.files)) from None
+            raise
+    folder.drop_others()
+    last = steps[-1]
+    moves = last.calibration.details.get("motion_blur") is not False
+    finish(
+        {
+            "photos": folder.files,
+            "codes": [code.bits for code in last.codes],
+            "sure": last.is_sure and moves,
+            "trajectory": trajectory,
+            "confidence": last.calibration.confidence,
+            "confidences": [step.calibration.confidence for step in steps],
+            "warnings": [*doubts(shots), *last.calibration.warnings],
+        },
+        _outcome(last, trajectory, moves=moves),
+        as_json=options.as_json,
+    )
+
+
+def _outcome(step: CalibrationStep, trajectory: Path, *, moves: bool) -> list[str]:
+    """Say what the photos show, and what to do with it."""
+    if not moves:
+        return ["The photo shows no motion blur: there is nothing to calibrate."]
+    lines = _motion_lines(
+        step.calibration, trajectory, photos=len(step.photos), code=step.codes[0]
+    )
+    if not step.is_sure:
+        return [
+            lines[0],
+            f"The order in time is not sure after {len(step.photos)} photos: repeat it with more"
+            " light, or with a scene of more detail.",
+        ]
+    return lines

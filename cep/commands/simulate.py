@@ -94,4 +94,4 @@ def simulate(options: SimulateOptions) -> None:
         f"{target}: {coded.shape[1]} x {coded.shape[0]} px, {shutter.duty:.0%} of the light;"
         f" PSF in {psf_file}"
     )
-    finish(result, as_json=options.as_json, page=[line])
+    finish(result, [line], as_json=options.as_json)

@@ -50,7 +50,7 @@ def studio(options: StudioOptions) -> None:
         from cep.studio.documents import extract as take_apart
 
         written = take_apart(options.file, options.extract, force=options.force)
-        finish({"files": written}, as_json=options.as_json, page=map(str, written))
+        finish({"files": written}, map(str, written), as_json=options.as_json)
         return
     try:
         import starlette  # noqa: F401 - only whether it is there

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from cep.commands.code_options import exposure_seconds
 from cep.commands.console import Page, Table, finish, progress
-from cep.commands.options import Force, Json, PlotFile, command, option, output_option
+from cep.commands.options import CameraFileOptions, Force, Json, command, option
 
 if TYPE_CHECKING:
     from cep.shutter.exposure_fit import Interval
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TimingOptions:
+class TimingOptions(CameraFileOptions):
     """Options of ``cep hw timing``."""
 
     camera: str = option("--camera", "KIND:ADDRESS", "Camera, as in cep shoot.", default=MISSING)
@@ -35,8 +35,6 @@ class TimingOptions:
     profile: str | None = option(
         "--profile", "NAME|FILE", "Camera whose noise figures are written with the times."
     )
-    output: Path = output_option("Camera to write, .toml or .json.", Path("camera.toml"))
-    plot: PlotFile = None
     force: Force = False
     as_json: Json = False
 
@@ -57,25 +55,17 @@ def timing(options: TimingOptions) -> None:
     Example: cep hw timing --camera twin:delay_us=300,row_us=15 --exposure 5ms
     """
     from cep.optics.camera import Camera
-    from cep.plots import check_figure_name
     from cep.shutter.release import Release
     from cep.shutter.timing import time_camera
     from motdiff.files.outputs import claim
 
-    output = options.output
-    if output.suffix.lower() not in (".toml", ".json"):
-        raise ValueError(f"{output}: a camera file must end in .json or .toml")
+    options.check_names()
     if options.trigger not in (None, "shutter", "camera"):
         raise ValueError(f"--trigger: must be shutter or camera, got {options.trigger[:40]!r}")
-    picture = options.plot or output.with_suffix(".png")
-    try:
-        check_figure_name(picture)
-    except ValueError as error:
-        raise ValueError(f"--plot: {error}") from None
     noise = None if options.profile is None else Camera.load(options.profile)
     exposure_s = exposure_seconds(options.exposure)
     assert exposure_s is not None
-    outputs = claim([output, picture], force=options.force)
+    outputs = claim([options.output, options.figure], force=options.force)
     with progress("timing the exposure") as tick:
         timed = time_camera(
             options.camera,
@@ -88,24 +78,24 @@ def timing(options: TimingOptions) -> None:
     profile = timed.profile(noise)
 
     def save(staged: Mapping[Path, Path]) -> None:
-        profile.to_file(staged[output])
-        timed.save_figure(staged[picture])
+        profile.to_file(staged[options.output])
+        timed.save_figure(staged[options.figure])
 
     finish(
         {
-            "file": output,
-            "image": picture,
+            "file": options.output,
+            "image": options.figure,
             **timed.to_dict(),
             "lead_in_ns": profile.lead_in_s * 1e9,
         },
+        _page(timed, options, lead_in_s=profile.lead_in_s),
         as_json=options.as_json,
-        page=_page(timed, output, picture, lead_in_s=profile.lead_in_s),
         outputs=outputs,
         save=save,
     )
 
 
-def _page(timed: TimedCamera, output: Path, picture: Path, *, lead_in_s: float) -> Page:
+def _page(timed: TimedCamera, options: TimingOptions, *, lead_in_s: float) -> Page:
     figures = timed.timing
     rows = [
         ("delay", *_microseconds(figures.start)),
@@ -123,8 +113,8 @@ def _page(timed: TimedCamera, output: Path, picture: Path, *, lead_in_s: float) 
         f"{timed.camera} exposes {start} after its trigger, for {length}; it states"
         f" {1e6 * timed.stated_s:.2f} us",
         Table("us", ("", "estimate", "from", "to"), rows),
-        f"{output}: the camera with its times; a code wants --lead-in {1e6 * lead_in_s:.0f}us;"
-        f" the window is in {picture}",
+        f"{options.output}: the camera with its times; a code wants --lead-in"
+        f" {1e6 * lead_in_s:.0f}us; the window is in {options.figure}",
     ]
 
 

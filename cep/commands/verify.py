@@ -8,7 +8,7 @@ from pathlib import Path
 
 import typer
 
-from cep.commands.console import FAILURE, Table, complain, finish
+from cep.commands.console import FAILURE, Table, announce, finish
 from cep.commands.options import (
     Force,
     Json,
@@ -92,11 +92,11 @@ def _verify_stored(options: VerifyOptions) -> None:
     }
     finish(
         result,
-        as_json=options.as_json,
-        page=[
+        [
             f"{port}: holds this code, {program.chips} chips of {program.chip_ns} ns, bit for bit,"
             f" trust {trust}"
         ],
+        as_json=options.as_json,
     )
 
 
@@ -145,8 +145,8 @@ def _verify_recording(options: VerifyOptions, capture: Path) -> None:
     heads = ("play", "clock, ppm", "jitter, ns", "worst edge, ns", "same bits")
     finish(
         result,
+        [Table(f"{capture}, {playback.signal}", heads, rows)],
         as_json=options.as_json,
-        page=[Table(f"{capture}, {playback.signal}", heads, rows)],
         outputs=Outputs(tuple(tables), force),
         tables=options.table,
         save=lambda _staged: (
@@ -158,5 +158,5 @@ def _verify_recording(options: VerifyOptions, capture: Path) -> None:
         line = f"play {index}: {play.verdict}"
         if len(playback.plays) > 1:
             line += f" ({len(playback.wrong)} of {len(playback.plays)} plays differ)"
-        complain(line)
+        announce(line)
         raise typer.Exit(FAILURE)

@@ -187,13 +187,7 @@ def read_shot(photo: Path | str, record: ShotRecord) -> Photo:
 
 
 def read_light(photo: Path | str, *, gamma: str | float = "srgb") -> Photo:
-    """Read a photo as its record says, where there is one; else as `cep.files.images.read_photo`.
-
-    Raises
-    ------
-    ValueError, OSError
-        As these.
-    """
+    """Read a photo as its record says; without one as `cep.files.images.read_photo`."""
     record = record_beside(photo)
     if record is None:
         return read_photo(photo, gamma=gamma)

@@ -1,9 +1,8 @@
 """A code along a trajectory: OTF of its chips, coded OTF and PSF, light-true (DC = open time).
 
-A code may be played off its time (``edges``), and the shutter may have ramps (``response``). With
-c_k = 0 outside the code, the OTF is ``sum_k c_k B_k + c_k (1 - c_{k-1}) O_k + c_k (1 - c_{k+1})
-C_k``: chip k itself, light lost while the shutter opens (O_k, within chip k), and light passed
-while it closes (C_k, within chip k + 1).
+The shutter may have ramps (``response``). With c_k = 0 outside the code, the OTF is
+``sum_k c_k B_k + c_k (1 - c_{k-1}) O_k + c_k (1 - c_{k+1}) C_k``: chip k itself, light lost while
+the shutter opens (O_k, within chip k), and light passed while it closes (C_k, within chip k + 1).
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
-from cep.optics.timeline import checked_edges, timeline
+from cep.optics.timeline import Timeline, even_edges, timeline
 from motdiff.path_psfs import slice_psfs
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
@@ -72,7 +71,6 @@ def open_path(
     code: ShutterCode,
     *,
     response: ShutterResponse | None = None,
-    edges: ArrayLike | None = None,
 ) -> OpenPath:
     """Cut the path at the chips and keep the pieces of open ones.
 
@@ -82,24 +80,20 @@ def open_path(
     code : ShutterCode
     response : ShutterResponse, optional
         How the shutter opens and closes; at once when omitted. Its chip time counts, not the
-        code's.
-    edges : (n + 1,) array_like, optional
-        Chip boundaries as fractions of the exposure; evenly spread over it when omitted. Beyond
-        the exposure the motion is extrapolated by :func:`cep.optics.timeline.extended`, also under
-        the tail of the last chip.
+        code's. Under the tail of the last chip, beyond the exposure, the motion is extrapolated by
+        :func:`cep.optics.timeline.extended`.
 
     Raises
     ------
     ValueError
-        If the edges are malformed, or leave a chip shorter than the shutter takes to open or
-        close.
+        If a chip is shorter than the shutter takes to open or close.
     """
-    # on time and at once the path needs no extension beyond the exposure
-    if edges is None and response is None:
+    # at once, the path needs no extension beyond the exposure
+    if response is None:
         pieces = trajectory.segments(np.linspace(0, 1, code.chips + 1))
         is_open = code.array[pieces.slice_index] > 0
         return OpenPath(pieces.dt[is_open], pieces.a[is_open], pieces.b[is_open])
-    played = timeline(trajectory, checked_edges(edges, code.chips), response, code=code)
+    played = timeline(trajectory, even_edges(code.chips), response, code=code)
     transmission = played.transmission(code)
     is_open = transmission > 0
     return OpenPath((played.dt * transmission)[is_open], played.a[is_open], played.b[is_open])
@@ -124,7 +118,7 @@ def chip_basis(
     -------
     (n, ...) complex ndarray
     """
-    return trajectory.slice_otfs(checked_edges(None, chips), fx_cy_px, fy_cy_px)
+    return trajectory.slice_otfs(even_edges(chips), fx_cy_px, fy_cy_px)
 
 
 def chip_parts(
@@ -144,7 +138,7 @@ def chip_parts(
     fx, fy = np.broadcast_arrays(
         np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64)
     )
-    played = timeline(trajectory, checked_edges(None, chips), response)
+    played = timeline(trajectory, even_edges(chips), response)
     weights = np.stack([np.ones(played.dt.size), played.opening - 1, played.closing]) * played.dt
     f = np.stack([fx.ravel(), fy.ravel()])
     # one chip more: the tail of the last
@@ -220,7 +214,7 @@ def coded_sum(rows: NDArray[Any], codes: NDArray[Any]) -> NDArray[Any]:
 
 def chip_psfs(trajectory: Trajectory, chips: int, size: int = PSF_PX) -> FloatArray:
     """PSF of every chip, (n, size, size); each sums to 1/n."""
-    return trajectory.slice_psfs(checked_edges(None, chips), size)
+    return trajectory.slice_psfs(even_edges(chips), size)
 
 
 def coded_otf(
@@ -276,11 +270,10 @@ def coded_psf(
     size: int = PSF_PX,
     *,
     response: ShutterResponse | None = None,
-    edges: ArrayLike | None = None,
 ) -> FloatArray:
     """Light-true coded PSF (size, size), zero displacement at index ``size // 2``.
 
-    ``response`` and ``edges`` are those of :func:`open_path`.
+    ``response`` is that of :func:`open_path`.
 
     Raises
     ------
@@ -293,12 +286,18 @@ def coded_psf(
     >>> psf.shape, round(float(psf.sum()), 6)
     ((64, 64), 0.625)
     """
-    if edges is None and response is None:
+    if response is None:
         return np.asarray(
             np.tensordot(code.array, chip_psfs(trajectory, code.chips, size), axes=1),
             dtype=np.float64,
         )
-    played = timeline(trajectory, checked_edges(edges, code.chips), response, code=code)
+    return played_psf(
+        timeline(trajectory, even_edges(code.chips), response, code=code), code, size
+    )
+
+
+def played_psf(played: Timeline, code: ShutterCode, size: int) -> FloatArray:
+    """PSF (size, size) of a code as it was played, on time or not; ValueError if it is larger."""
     needed = played.frame_size()
     if size < needed:
         raise ValueError(f"size: the path needs a PSF frame of at least {needed} px, got {size}")

@@ -5,16 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
-
-FARTHEST = 0.5
-"""How far before and after the exposure a code may be played, as a fraction of it: nothing is
-known there."""
 
 
 @dataclass(frozen=True)
@@ -64,30 +60,11 @@ class Timeline:
         return int(max(-2 * low, 2 * high + 1))
 
 
-def checked_edges(edges: ArrayLike | None, chips: int) -> FloatArray:
-    """Chip edges (n + 1,) as fractions of the exposure, evenly spread when None.
-
-    Raises
-    ------
-    ValueError
-        If there are not n + 1 of them, increasing, and no farther than :data:`FARTHEST` outside
-        the exposure.
-    """
+def even_edges(chips: int) -> FloatArray:
+    """Chip edges (n + 1,) of a code on time, as fractions of the exposure."""
     if chips < 1:
         raise ValueError(f"chips: must be at least 1, got {chips}")
-    if edges is None:
-        return np.linspace(0, 1, chips + 1)
-    cuts = np.asarray(edges, dtype=np.float64)
-    if cuts.shape != (chips + 1,):
-        raise ValueError(f"edges: {chips} chips need {chips + 1} edges, got shape {cuts.shape}")
-    if not (np.isfinite(cuts).all() and (np.diff(cuts) > 0).all()):
-        raise ValueError("edges: must be finite and strictly increasing")
-    if cuts[0] < -FARTHEST or cuts[-1] > 1 + FARTHEST:
-        raise ValueError(
-            f"edges: must lie within {-FARTHEST:g}..{1 + FARTHEST:g} exposures, got"
-            f" {cuts[0]:g}..{cuts[-1]:g}"
-        )
-    return cuts
+    return np.linspace(0, 1, chips + 1)
 
 
 def check_lengths(edges: FloatArray, response: ShutterResponse) -> None:
@@ -129,7 +106,7 @@ def timeline(
     ----------
     trajectory : Trajectory
     edges : (n + 1,) float
-        As :func:`checked_edges` returns them.
+        Of the chips, as fractions of the exposure; :func:`even_edges` of a code on time.
     response : ShutterResponse, optional
     code : ShutterCode, optional
         Only its own transitions are cut then; every possible one when omitted.

@@ -76,13 +76,7 @@ class ScenePhoto:
 
     @classmethod
     def of(cls, light: FloatArray, *, name: str) -> ScenePhoto:
-        """Fit the scene of a (H, W) photo in linear light.
-
-        Raises
-        ------
-        ValueError
-            If it is flat.
-        """
+        """Fit the scene of a (H, W) photo in linear light; ValueError if it is flat."""
         side = min(*light.shape, _WINDOW_PX)
         # neighbours overlap by half
         counts = [min(_WINDOWS, 1 + 2 * (length - side) // side) for length in light.shape]

@@ -11,9 +11,8 @@ import cep
 from cep.optics.path_limits import check_resolved
 from cep.proofs.certify.certificate import Certificate
 from cep.report.scene import Scene, SceneMotion, find_motion
-from cep.restoration.blind import LEAST_CONFIDENCE
 from cep.restoration.result import Restoration
-from cep.restoration.sharpen import sharpen
+from cep.restoration.sharpen import LEAST_CONFIDENCE, sharpen
 from cep.search.advise import LEVELS, Advice
 from cep.search.chip_count import choose_chips
 from cep.search.ways import CODED, Choice, Way

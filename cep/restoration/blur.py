@@ -51,11 +51,6 @@ class Blur:
     power : (H', W' // 2 + 1) float ndarray
         ``|H|^2``, summed over the photos: the spectrum of A^T A without borders.
 
-    Raises
-    ------
-    ValueError
-        If the PSF is malformed.
-
     Notes
     -----
     For a scene x, a photo y and the discrete Fourier transform F, with P cropping to the frame:

@@ -18,6 +18,9 @@ from motdiff.crops import CLIPPED_LEVEL
 from motdiff.threads import side_by_side
 from motdiff.types import BoolArray, FloatArray
 
+FEW_CLIPPED = 1e-3
+"""Share of clipped pixels up to which they are specks of noise or glints, no lights."""
+
 # memory for a large photo; a tile is cut to the neighbourhood of its clipped pixels
 _TILE_PX = 512
 _ROUNDS = 40  # docs/decisions/restoration.md
@@ -90,6 +93,16 @@ def clipped_channels(channels: FloatArray, clipped: ArrayLike | None) -> BoolArr
     if clipped is None:
         return channels >= CLIPPED_LEVEL
     return np.broadcast_to(np.asarray(clipped, dtype=bool), channels.shape)
+
+
+def clipped_warnings(share: float, *, is_filled: bool = True) -> list[str]:
+    """Warn of clipped pixels, where they are more than specks of noise or glints."""
+    if share <= FEW_CLIPPED:
+        return []
+    meaning = "expect ringing around them"
+    if is_filled:
+        meaning = "their light was inferred from the other pixels"
+    return [f"{100 * share:.1f} % of the pixels are clipped: {meaning}"]
 
 
 def lights_cut(restored: ArrayLike, clipped: ArrayLike, psf: ArrayLike) -> FloatArray:

@@ -122,18 +122,13 @@ def detect_direction(
 
 
 def compare_psfs(photo: ArrayLike, forward: ArrayLike, reverse: ArrayLike) -> DirectionResult:
-    """Test which of two PSFs a photo was blurred by.
+    """Test which of two PSFs a photo was blurred by; ValueError if an argument is malformed.
 
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
     forward, reverse : (S, S) array_like
         Light-true PSFs, zero displacement at index ``size // 2``.
-
-    Raises
-    ------
-    ValueError
-        If an argument is malformed.
     """
     return _compared(photo, [np.asarray(psf, dtype=np.float64) for psf in (forward, reverse)])[0]
 

@@ -34,11 +34,6 @@ def inverse_filter(
     -------
     float ndarray like ``photo``
         At the scale of the full open exposure; a guess within the PSF's reach of a real border.
-
-    Raises
-    ------
-    ValueError
-        If an argument is malformed.
     """
     if not 0 <= floor < 1:
         raise ValueError(f"floor: must lie within 0..1, got {floor}")

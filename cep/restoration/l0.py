@@ -42,11 +42,6 @@ def l0(
     float ndarray like ``photo``
         At the scale of the full open exposure; a guess within the PSF's reach of a real border.
 
-    Raises
-    ------
-    ValueError
-        If an argument is malformed.
-
     References
     ----------
     Xu, Zheng, Jia, "Unnatural L0 sparse representation for natural image deblurring", CVPR 2013.

@@ -208,7 +208,7 @@ def _alternated(
 ) -> FloatArray:
     """Scene (C, H, W) of channels (C, H, W) or (C, K, H, W) with noise N and spectrum A, (C,)."""
     if denoiser is None:
-        from cep.restoration.denoiser.weights import load_denoiser
+        from cep.restoration.denoiser.network import load_denoiser
 
         denoiser = load_denoiser()
     ratio = noise / scene

@@ -95,17 +95,12 @@ METHODS: dict[str, Method] = {
 
 
 def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[..., Any]]:
-    """Return the name and the function of a restoration.
+    """Return the name and the function of a restoration; ValueError if there is no such method.
 
     Parameters
     ----------
     method : str or callable
         A name of :data:`METHODS`, ``module:name`` of a function of your own, or a function.
-
-    Raises
-    ------
-    ValueError
-        If there is no such method.
     """
     if callable(method):
         return getattr(method, "__name__", type(method).__name__), method

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,15 +13,14 @@ from numpy.typing import ArrayLike
 from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration.blind import find_psf
 from cep.restoration.blur import channels_first, trimmed_psf
-from cep.restoration.clipping import fill_clipped
-from cep.restoration.direction import DirectionResult, detect_direction
+from cep.restoration.clipping import clipped_warnings, fill_clipped
+from cep.restoration.direction import detect_direction
 from cep.restoration.registry import find_method, registered_method
 from cep.restoration.result import Restoration, misfit
 from cep.restoration.sharpen import (
-    FEW_CLIPPED,
     LARGEST_PX,
+    LEAST_CONFIDENCE,
     is_possible_light,
     restore_chosen,
     sharpen,
@@ -30,6 +29,9 @@ from motdiff.crops import clipped_mask, exposure_gain
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
+
+if TYPE_CHECKING:
+    from motdiff.estimators.base import MotionEstimate
 
 _ALL_LIGHT = 0.999  # below it a light-true PSF was closed for a part of the exposure
 _FULL_LIGHT = 1.001  # 1, but for rounding
@@ -53,7 +55,7 @@ def restore(
 
     Along a trajectory of unknown direction a coded photo is tested for its orders in time, see
     :func:`cep.restoration.direction.detect_direction`. Without trajectory and PSF the PSF is
-    searched in the photo, see :func:`cep.restoration.blind.find_psf`. Clipped pixels are replaced
+    searched in the photo, see :func:`find_psf`. Clipped pixels are replaced
     before a registered method that declares ``fills_clipped``, as all of ours do, see
     :func:`cep.restoration.clipping.fill_clipped`; a function of your own gets them as they are.
 
@@ -115,43 +117,22 @@ def restore(
         raise ValueError("code: not valid with a PSF, which holds its code already")
     started = time.perf_counter()
     channels = channels_first(photo)
-    searched = 0.0
-    psf_source = "given"
-    direction: str | None = None
-    psf_confidence: float | None = None
-    test: DirectionResult | None = None
-    notes: list[str] = []
-    if trajectory is not None:
-        _check_reach("trajectory", trajectory.frame_size(), channels)
-        psf_source = "trajectory"
-        direction = trajectory.direction
-        if direction == "unknown" and code is not None:
-            test = detect_direction(photo, trajectory, code)
-            direction = test.direction
-            psf = test.psf
-        else:
-            size = trajectory.frame_size(PSF_PX)
-            psf = coded_psf(trajectory, code or ShutterCode("1"), size=size)
-        if direction == "undecidable":
-            notes.append("the photo does not tell the direction of the motion; forward was taken")
-    elif psf is None:
-        blind = find_psf(
-            photo,
-            code,
-            progress=lambda share: progress(_SEARCH_SHARE * share, "searching the PSF"),
-        )
-        searched = _SEARCH_SHARE
-        psf_source = "photo"
-        psf = blind.psf
-        psf_confidence = blind.confidence
-        notes += blind.warnings
-    assert psf is not None
+    # along a trajectory a PSF costs no time, and where one is given none
+    begin = _SEARCH_SHARE if psf is None and trajectory is None else 0.0
 
     def restoring(share: float) -> None:
-        progress(searched + (1 - searched) * share, "restoring")
+        progress(begin + (1 - begin) * share, "restoring")
 
-    restoring(0.0)
+    draft = _with_psf(
+        photo,
+        psf,
+        trajectory=trajectory,
+        code=code,
+        progress=lambda share: progress(begin * share, "searching the PSF"),
+    )
+    psf = draft.psf
     kernel = trimmed_psf(psf)
+    restoring(0.0)
     by_evidence = is_known = False
     if method == "auto":
         is_coded = code is not None or kernel.sum() < _ALL_LIGHT
@@ -159,33 +140,16 @@ def restore(
             trajectory.direction == "known" or uniform_length_px(trajectory) is not None
         )
         # a straight motion that was estimated looks like a known one: the photo shows how it fits
-        by_evidence = psf_source == "photo" or not is_coded
+        by_evidence = draft.psf_source == "photo" or not is_coded
         # ahead in every row of our tables with a known motion: docs/decisions/restoration.md
         method = "pnp" if channels[0].size <= LARGEST_PX else "wiener"
     label, apply = find_method(method)
     if trajectory is None:
         _check_reach("psf", len(kernel), channels)
-        if kernel.sum() > _FULL_LIGHT:
-            notes.append(
-                f"the PSF sums to {kernel.sum():.4g}, a light-true one to the open share of the"
-                " exposure, at most 1; the photo comes out darker by that factor"
-            )
-    reach = len(kernel) // 2
-    clipped = float(clipped_mask(photo).mean())
     entry = registered_method(apply)
     # a user-defined function gets the photo as it is
     fills = entry is not None and entry.fills_clipped
-    meaning = "expect ringing around them"
-    if fills:
-        meaning = "their light was inferred from the other pixels"
-    if clipped > FEW_CLIPPED:
-        notes.append(f"{100 * clipped:.1f} % of the pixels are clipped: {meaning}")
-    # borders that are a guess then take half of the shorter side
-    if 4 * reach > min(channels.shape[1:]):
-        notes.append(
-            f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x"
-            f" {channels.shape[1]} px"
-        )
+    notes = [*draft.warnings, *_doubts(channels, kernel, draft.saturated_fraction, fills=fills)]
     if by_evidence:
         gain = exposure_gain(photo)
         bright = np.asarray(photo) * gain
@@ -203,21 +167,125 @@ def restore(
             options["progress"] = restoring
         image = _checked_image(apply(light, psf, **options), np.shape(photo), label)
     restoring(1.0)
-    return Restoration(
+    return replace(
+        draft,
         image=image,
         method=label,
-        psf=np.asarray(psf, dtype=np.float64),
-        psf_source=psf_source,
-        psf_confidence=psf_confidence,
-        direction=direction,
-        direction_test=test,
-        trajectory=test.trajectory if test is not None and test.trajectory else trajectory,
         residual=misfit(photo, image, psf),
-        unreliable_px=reach,
-        saturated_fraction=clipped,
+        unreliable_px=len(kernel) // 2,
         warnings=tuple(notes),
         seconds=time.perf_counter() - started,
     )
+
+
+def find_psf(
+    photo: ArrayLike,
+    code: ShutterCode | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> MotionEstimate:
+    """Find the PSF of a photo blindly; of the code it needs the open share of the time.
+
+    A coded photo's own kernel restores better than the PSF of a path that is fitted to it along
+    the code: one photo seldom tells the order in time, and a wrong order has a wrong PSF
+    (docs/decisions/restoration.md). Where the blur outgrows the search, though, the photo is made
+    smaller, and the PSF is that of a path drawn through the small kernel; a warning says so.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    code : ShutterCode, optional
+        Of the exposure; the open shutter when omitted.
+    progress : callable, optional
+        Called with the finished share 0..1.
+
+    Returns
+    -------
+    MotionEstimate
+        Its ``psf`` is light-true.
+
+    Raises
+    ------
+    ValueError
+        If the photo is malformed, too small or without texture.
+    """
+    from motdiff.estimators.pmp.estimator import PmpEstimator
+
+    estimate = PmpEstimator(progress=progress).estimate(photo)
+    warnings = estimate.psf_warnings
+    if estimate.confidence < LEAST_CONFIDENCE:
+        lost = (
+            f"the PSF is probably lost (confidence {estimate.confidence:.2f}), and the restored"
+            " photo may be worse than the one given: calibrate the motion, and give its"
+            " trajectory"
+        )
+        warnings = (lost, *warnings)
+    duty = (code or ShutterCode("1")).duty
+    return replace(estimate, psf=duty * estimate.psf, psf_warnings=warnings)
+
+
+def _with_psf(
+    photo: ArrayLike,
+    psf: ArrayLike | None,
+    *,
+    trajectory: Trajectory | None,
+    code: ShutterCode | None,
+    progress: Callable[[float], None],
+) -> Restoration:
+    """Return the photo, not restored yet, with the PSF that it will be, and how that was found."""
+    draft = Restoration(
+        image=np.asarray(photo, dtype=np.float64),
+        psf=np.zeros((1, 1)),
+        psf_source="given",
+        trajectory=trajectory,
+        saturated_fraction=float(clipped_mask(photo).mean()),
+        warnings=(),
+    )
+    if psf is not None:
+        return replace(draft, psf=np.asarray(psf, dtype=np.float64))
+    if trajectory is None:
+        estimate = find_psf(photo, code, progress=progress)
+        return replace(
+            draft,
+            psf=estimate.psf,
+            psf_source="photo",
+            psf_confidence=estimate.confidence,
+            warnings=estimate.psf_warnings,
+        )
+    _check_reach("trajectory", trajectory.frame_size(), channels_first(photo))
+    draft = replace(draft, psf_source="trajectory", direction=trajectory.direction)
+    if trajectory.direction == "known" or code is None:
+        size = trajectory.frame_size(PSF_PX)
+        return replace(draft, psf=coded_psf(trajectory, code or ShutterCode("1"), size=size))
+    test = detect_direction(photo, trajectory, code)
+    undecided = "the photo does not tell the direction of the motion; forward was taken"
+    return replace(
+        draft,
+        psf=test.psf,
+        direction=test.direction,
+        direction_test=test,
+        trajectory=test.trajectory,
+        warnings=(undecided,) if test.direction == "undecidable" else (),
+    )
+
+
+def _doubts(channels: FloatArray, kernel: FloatArray, clipped: float, *, fills: bool) -> list[str]:
+    """Warn of a PSF that is too bright or too far-reaching for a photo, and of clipped pixels."""
+    doubts = []
+    if kernel.sum() > _FULL_LIGHT:
+        doubts.append(
+            f"the PSF sums to {kernel.sum():.4g}, a light-true one to the open share of the"
+            " exposure, at most 1; the photo comes out darker by that factor"
+        )
+    doubts += clipped_warnings(clipped, is_filled=fills)
+    reach = len(kernel) // 2
+    # borders that are a guess then take half of the shorter side
+    if 4 * reach > min(channels.shape[1:]):
+        doubts.append(
+            f"the PSF reaches {reach} px, far into a photo of {channels.shape[2]} x"
+            f" {channels.shape[1]} px"
+        )
+    return doubts
 
 
 def _restore_alone(

@@ -15,9 +15,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.restoration.blind import LEAST_CONFIDENCE
 from cep.restoration.blur import Blur, channels_first, channels_last, trimmed_psf
-from cep.restoration.clipping import fill_clipped, lights_cut
+from cep.restoration.clipping import FEW_CLIPPED, clipped_warnings, fill_clipped, lights_cut
 from cep.restoration.noise import fit_spectrum
 from cep.restoration.plug_and_play import pnp
 from cep.restoration.result import Restoration, misfit
@@ -38,8 +37,8 @@ take a minute."""
 LARGEST_PX = 16_000_000
 """Photos of more pixels are restored by the Wiener filter: pnp would take minutes and 4 GB."""
 
-FEW_CLIPPED = 1e-3
-"""Share of clipped pixels up to which they are specks of noise or glints, no lights."""
+LEAST_CONFIDENCE = 0.5
+"""Of a PSF that is more likely good than lost."""
 
 _CROP_PX = 384
 # in dB of PSNR that a factor of e in the residual, and a full scale of impossible light (rms),
@@ -73,26 +72,6 @@ _CLEARLY = 0.15
 # docs/decisions/restoration.md
 _PRIOR_DB = {"photo": 0.6, "path in the photo": 0.0}
 _SOURCES = {"photo": "the blur kernel found in it", "path in the photo": "the path found in it"}
-
-
-@dataclass(frozen=True)
-class PsfChoice:
-    """The PSF chosen for a photo.
-
-    Attributes
-    ----------
-    name : str or None
-        Of the PSF; None where no restoration is better than the photo.
-    scores_db : dict from name to float
-        Of each PSF; differences stand for expected differences of PSNR.
-    sparsity : dict from name to float
-        L1 over L2 norm of the restored gradients, over that of the photo's: below 1
-        where it is sharper and does not ring.
-    """
-
-    name: str | None
-    scores_db: dict[str, float]
-    sparsity: dict[str, float]
 
 
 def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False) -> Restoration:
@@ -142,13 +121,12 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False)
     }
     gain = exposure_gain(pixels)
     bright = pixels * gain
-    choice = choose_psf(bright, small_enough, prior_db=_PRIOR_DB)
-    source = choice.name
+    source, scores_db = choose_psf(bright, small_enough, prior_db=_PRIOR_DB)
     if source is None:
         doubt = doubt or "No restoration is sharper than the photo without ringing"
         if not (anyway and small_enough):
             return kept(doubt)
-        source = max(small_enough, key=choice.scores_db.__getitem__)
+        source = max(small_enough, key=scores_db.__getitem__)
     psf = psfs[source]
     image, method = restore_chosen(bright, psf)
     # a doubtful blur must leave little of what a wrong one leaves
@@ -171,11 +149,7 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False)
             "the photo is large: it was restored by the Wiener filter, which is fast; --method tv"
             " takes longer"
         )
-    if clipped > FEW_CLIPPED:
-        notes.append(
-            f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the"
-            " other pixels"
-        )
+    notes += clipped_warnings(clipped)
     image = image / gain
     summary = (
         f"The photo was restored with {_SOURCES[source]} (confidence {confidence:.2f}), by"
@@ -199,7 +173,7 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False)
 
 def choose_psf(
     photo: ArrayLike, psfs: Mapping[str, ArrayLike], *, prior_db: Mapping[str, float]
-) -> PsfChoice:
+) -> tuple[str | None, dict[str, float]]:
     """Choose among PSFs by restorations of a textured crop of the photo.
 
     Parameters
@@ -209,17 +183,20 @@ def choose_psf(
     prior_db : mapping from a name to float
         How much better one kind of PSF is than another where nothing else is known.
 
-    Raises
-    ------
-    ValueError
-        If an argument is malformed.
+    Returns
+    -------
+    name : str or None
+        Of the PSF; None where no restoration is sharper than the photo, by the sparsity of its
+        gradients.
+    scores_db : dict from name to float
+        Of each PSF; differences stand for expected differences of PSNR.
     """
     crop = _textured_crop(photo)
     clipped = clipped_mask(crop)
     sigma = max(noise_sigma(luminance(crop)), LEAST_SIGMA)
     photo_sparsity = gradient_sparsity(luminance(crop)) or 1.0
     scores = {}
-    sparsity = {}
+    sharper = []
     for name, psf in psfs.items():
         # each colour is filled by itself: where one is clipped the grey is not at full scale
         filled = luminance(fill_clipped(crop, psf))
@@ -231,9 +208,9 @@ def choose_psf(
             - _RESIDUAL_DB * np.log(residual / sigma)
             - _IMPOSSIBLE_DB * _impossible(restored)
         )
-        sparsity[name] = (gradient_sparsity(restored) or 1.0) / photo_sparsity
-    sharper = [name for name in scores if sparsity[name] < _NO_SPARSER]
-    return PsfChoice(max(sharper, key=scores.__getitem__, default=None), scores, sparsity)
+        if (gradient_sparsity(restored) or 1.0) < _NO_SPARSER * photo_sparsity:
+            sharper.append(name)
+    return max(sharper, key=scores.__getitem__, default=None), scores
 
 
 def restore_chosen(

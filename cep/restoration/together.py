@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -20,11 +19,11 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import shifted_psf
 from cep.restoration.blur import channels_first, trimmed_psfs
-from cep.restoration.clipping import fill_clipped
+from cep.restoration.clipping import clipped_warnings, fill_clipped
 from cep.restoration.direction import DIRECTIONS, LARGEST_CROP_PX, Direction, orders_in_time
 from cep.restoration.plug_and_play import pnp_together
 from cep.restoration.result import Restoration, misfit
-from cep.restoration.sharpen import FEW_CLIPPED, LARGEST_PX
+from cep.restoration.sharpen import LARGEST_PX
 from motdiff.crops import centre_crop, clipped_mask, luminance
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.psf_frame import in_frame
@@ -47,29 +46,6 @@ _LONGEST_STEP_PX = 8.0  # from the peak of the correlation, which is a pixel off
 _STILL_PX = 1e-3
 _INSIDE = 0.1  # of the window, below which a pixel is border
 _FLAT = 1e-12  # variance of an image that shows nothing
-
-
-@dataclass(frozen=True)
-class RegisteredPsfs:
-    """PSFs of photos of one scene, each where its photo has the scene, and as bright.
-
-    Attributes
-    ----------
-    psfs : (K, S, S) float
-        Light-true beside the first, zero displacement at index ``S // 2``.
-    shifts_px : (K, 2) float
-        Of each photo's scene against the first one's, (right, down).
-    gains : (K,) float
-        Brightness of each photo against the first, beyond what the codes explain.
-    misfit : float
-        Rms of what one photo blurred by another's PSF and the other blurred by the first's leave
-        between them, over the norm of both PSFs: about the noise, where the path is right.
-    """
-
-    psfs: FloatArray
-    shifts_px: FloatArray
-    gains: FloatArray
-    misfit: float
 
 
 def restore_together(
@@ -161,9 +137,8 @@ def restore_together(
         fill_clipped(photo, shifted_psf(path, code))
         for photo, code in zip(photos, codes, strict=True)
     ]
-    registered = registered_psfs(light, path, codes)
-    psfs = registered.psfs
-    warnings += _doubts(photos, registered)
+    psfs, apart = registered_psfs(light, path, codes)
+    warnings += _doubts(photos, apart)
     image = pnp_together(
         light,
         list(psfs),
@@ -235,7 +210,7 @@ def _order_in_time(
     """Path in the order in time that leaves least between the photos, and how it was run."""
     paths = orders_in_time(trajectory)
     crops = [centre_crop(luminance(photo), LARGEST_CROP_PX, LARGEST_CROP_PX) for photo in photos]
-    misfits = [registered_psfs(crops, path, codes).misfit for path in paths]
+    misfits = [registered_psfs(crops, path, codes)[1] for path in paths]
     best, second = np.argsort(misfits)[:2]
     if misfits[second] < _ALIKE * misfits[best]:
         return paths[best], "undecidable"
@@ -246,28 +221,23 @@ def _clipped_share(photos: Sequence[ArrayLike]) -> float:
     return float(np.mean([clipped_mask(photo).mean() for photo in photos]))
 
 
-def _doubts(photos: Sequence[ArrayLike], registered: RegisteredPsfs) -> list[str]:
+def _doubts(photos: Sequence[ArrayLike], apart: float) -> list[str]:
     """Warn of what a photo alone would be warned of, and where the photos do not fit together."""
     doubts = []
     greys = [luminance(photo) for photo in photos]
     noise = float(np.mean([max(noise_sigma(grey), LEAST_SIGMA) for grey in greys]))
-    unexplained = max(registered.misfit**2 - noise**2, 0.0) ** 0.5
+    unexplained = max(apart**2 - noise**2, 0.0) ** 0.5
     if unexplained > _UNEXPLAINED * greys[0].std():
         doubts.append(
             "the photos do not fit together along this motion: do they show one scene and one"
             " motion, and are the codes given in the order of the photos?"
         )
-    if (clipped := _clipped_share(photos)) > FEW_CLIPPED:
-        doubts.append(
-            f"{100 * clipped:.1f} % of the pixels are clipped: their light was inferred from the"
-            " other pixels"
-        )
-    return doubts
+    return [*doubts, *clipped_warnings(_clipped_share(photos))]
 
 
 def registered_psfs(
     photos: Sequence[ArrayLike], trajectory: Trajectory, codes: Sequence[ShutterCode]
-) -> RegisteredPsfs:
+) -> tuple[FloatArray, float]:
     """Draw the PSF of each photo, moved and scaled as its photo is against the first.
 
     The first photo blurred by the PSF of another is that photo blurred by the PSF of the first,
@@ -279,14 +249,20 @@ def registered_psfs(
     trajectory : Trajectory
     codes : sequence of K ShutterCode
 
+    Returns
+    -------
+    psfs : (K, S, S) float
+        Light-true beside the first, zero displacement at index ``S // 2``.
+    apart : float
+        Rms of what one photo blurred by another's PSF and the other blurred by the first's leave
+        between them, over the norm of both PSFs: about the noise, where the path is right.
+
     References
     ----------
     Lucas and Kanade, "An iterative image registration technique", IJCAI 1981.
     """
     greys = [luminance(photo) for photo in photos]
     psfs = [shifted_psf(trajectory, codes[0])]
-    shifts = [(0.0, 0.0)]
-    gains = [1.0]
     squares = []
     for i, (grey, code) in enumerate(zip(greys[1:], codes[1:], strict=True), 2):
         psf = shifted_psf(trajectory, code)
@@ -306,16 +282,10 @@ def registered_psfs(
                 " give photos of one scene, and their codes in the same order"
             )
         psfs.append(gain * shifted_psf(trajectory, code, shift_px))
-        shifts.append(shift_px)
-        gains.append(gain)
         squares.append(rms**2 / (np.sum(psfs[0] ** 2) + np.sum(psfs[-1] ** 2)))
     frame = max(map(len, psfs))
-    return RegisteredPsfs(
-        np.stack([in_frame(psf, frame) for psf in psfs]),
-        np.array(shifts),
-        np.array(gains),
-        float(np.sqrt(np.mean(squares))),
-    )
+    stacked = np.stack([in_frame(psf, frame) for psf in psfs])
+    return stacked, float(np.sqrt(np.mean(squares)))
 
 
 def _blurred(photo: FloatArray, psf: FloatArray) -> FloatArray:

@@ -40,11 +40,6 @@ def tv(
     float ndarray like ``photo``
         At the scale of the full open exposure; a guess within the PSF's reach of a real border.
 
-    Raises
-    ------
-    ValueError
-        If an argument is malformed.
-
     References
     ----------
     Wang, Yang, Yin, Zhang, "A new alternating minimization algorithm for total variation image

@@ -119,7 +119,7 @@ class Window:
 def fit_exposure(
     flashes: Flashes, guess: Window, *, unseen_before_s: float | None = None
 ) -> ExposureTiming:
-    """Estimate when a camera exposes.
+    """Estimate when a camera exposes; ValueError if no flash was across the start or the end.
 
     Parameters
     ----------
@@ -130,11 +130,6 @@ def fit_exposure(
         Its start and end within a flash's length; the row time within some percent.
     unseen_before_s : float, optional
         The exposure began before this time, at which the first flash can come: where is not known.
-
-    Raises
-    ------
-    ValueError
-        If no flash was across the start or the end.
     """
     rows = flashes.brightness.shape[1]
     shortest_s = min(float(np.diff(pulses, axis=1).min()) for pulses in flashes.pulses_s)

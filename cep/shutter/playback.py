@@ -12,8 +12,9 @@ import numpy as np
 from cep.files.code_files import StoredCode, write_code
 from cep.files.psf_files import PSF_SUFFIXES, write_psf
 from cep.optics.code import ShutterCode
-from cep.optics.exposure import coded_psf
+from cep.optics.exposure import played_psf
 from cep.optics.response import ShutterResponse
+from cep.optics.timeline import timeline
 from hw.device import DeviceProfile
 from hw.program import Program
 from hw.recordings.capture import read_capture
@@ -22,6 +23,8 @@ from motdiff.files.outputs import new_folder
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
+
+_MOST_EXPOSURES = 1.5  # that a code may take: nothing is known of the motion beyond
 
 
 @dataclass(frozen=True)
@@ -95,13 +98,19 @@ class Playback:
         play = self.plays[0]
         chip_ns = self.program.chip_ns
         code = ShutterCode(play.achieved, chip_ns)
-        edges = np.linspace(0, 1 + play.scale_ppm * 1e-6, code.chips + 1)
+        exposures = 1 + play.scale_ppm * 1e-6
+        if exposures > _MOST_EXPOSURES:
+            raise ValueError(
+                f"trajectory: is known for {_MOST_EXPOSURES:g} exposures at most, the code was"
+                f" played for {exposures:g}"
+            )
+        edges = np.linspace(0, exposures, code.chips + 1)
         # openings that were longer than the fitted clock says count as closing late
         late_ns = min(max(play.widening_ns, 0.0), 0.9 * chip_ns)  # closing fits into a chip
         response = None
         if late_ns:
             response = ShutterResponse(chip_ns=chip_ns, on_bias_ns=late_ns)
-        return coded_psf(motion, code, size=size, edges=edges, response=response)
+        return played_psf(timeline(motion, edges, response, code=code), code, size)
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep hw verify --json`` prints them."""

@@ -13,7 +13,7 @@ from cep.files.code_files import StoredCode, read_code, stored_device
 from cep.files.formatting import seconds_of
 from cep.studio.catalogue import shutter_name
 from cep.studio.fields import FieldError, nameless
-from cep.studio.state import path_fields, read_state, saved_setting
+from cep.studio.state import described_paths, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
 from motdiff.files.json_files import (
     fault,
@@ -49,9 +49,13 @@ def opened_document(file: Path) -> dict[str, Any]:
     try:
         if schema == "cep.trajectory/1":
             stored = read_motion(file)
-            paths = [(stored.weight, stored.trajectory), *stored.alternatives]
-            described = [{"weight": weight, **_described(path)} for weight, path in paths]
-            return {"paths": described, "path_error": stated_uncertainty_px(stored, file)}
+            weights, paths = zip(
+                (stored.weight, stored.trajectory), *stored.alternatives, strict=True
+            )
+            return {
+                "paths": described_paths(weights, paths),
+                "path_error": stated_uncertainty_px(stored, file),
+            }
         if schema == "cep.code/1":
             return _opened_code(read_code(file))
         if schema == STUDIO_SCHEMA:
@@ -96,7 +100,7 @@ def opened_gyro(file: Path, query: Mapping[str, str]) -> dict[str, Any]:
         raise FieldError(field, nameless(error, file).removeprefix("axes: ")) from None
     read = f"{trace.columns}; axes: {axes}"
     warnings = [read, *(line.removeprefix(f"{file}: ") for line in trace.warnings)]
-    return {"paths": [{"weight": 1.0, **_described(path)}], "warnings": warnings}
+    return {"paths": described_paths([1.0], [path]), "warnings": warnings}
 
 
 def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
@@ -178,7 +182,3 @@ def _difference(document: Mapping[str, Any], saved: Mapping[str, Any]) -> str | 
     ):
         return f"code.problem.device: is not the state's shutter; {advice}"
     return None
-
-
-def _described(path: cep.Trajectory) -> dict[str, Any]:
-    return {"length_px": path.length_px, "extent_px": path.extent_px, **path_fields(path)}

@@ -6,7 +6,8 @@ Every function here raises :class:`FieldError`, one line that the page shows bes
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeGuard
 
@@ -72,14 +73,18 @@ def nameless(error: Exception, file: Path, kind: str = "the file") -> str:
     return str(error).replace(f"{file}: ", "").replace(str(file), kind)
 
 
-def disk_error(field: str, error: OSError) -> FieldError:
-    """Return what to say beside a field where the studio's own folder cannot be written."""
-    reason = (error.strerror or str(error)).lower()
-    return FieldError(
-        field,
-        f"the studio's folder cannot be written ({reason}); free space there, or set TMPDIR and"
-        " start it again",
-    )
+@contextmanager
+def writing(field: str) -> Iterator[None]:
+    """Say beside a field where the studio's own folder cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        reason = (error.strerror or str(error)).lower()
+        raise FieldError(
+            field,
+            f"the studio's folder cannot be written ({reason}); free space there, or set TMPDIR"
+            " and start it again",
+        ) from None
 
 
 def read_bits(bits: object, field: str) -> str:

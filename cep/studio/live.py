@@ -124,13 +124,7 @@ class LiveBench:
         self._finding = threading.Lock()
 
     def figures(self, code: ShutterCode) -> LiveFigures:
-        """Measure a code.
-
-        Raises
-        ------
-        ValueError
-            If it has another number of chips.
-        """
+        """Measure a code; ValueError if it has another number of chips."""
         metrics = with_proven_zero(code, self.along, self.problem.measure(code, budget=_BUDGET))
         modulus = np.abs(coded_sum(self._rows, code.array[None])[0]).astype(np.float64)
         band = modulus[_CURVE:].reshape(MAP_ROWS, MAP_COLUMNS)

@@ -30,6 +30,7 @@ from cep.studio import catalogue
 from cep.studio.documents import opened_document, opened_gyro
 from cep.studio.fields import FieldError, is_text, read_choice
 from cep.studio.jobs import BusyError, Job, Jobs
+from cep.studio.photo_files import beside
 from cep.studio.security import Gate, Keys, LateError, TooLargeError, refusal
 from cep.studio.shots import shot_archive
 from cep.studio.state import Setting, read_codes, read_search, read_setting
@@ -179,9 +180,56 @@ class _Studio:
         """Return the file of the restored part of a photo, None for the bundled scene."""
         if key in (None, ""):
             return None
-        photo = self.uploads.path(key)
-        scene = photo.with_name(f"{photo.stem}_scene.npy")
+        scene = beside(self.uploads.path(key), "scene.npy")
         return scene if scene.is_file() else None
+
+    # -- other requests ---------------------------------------------------------------------------
+
+    async def start(self, _: Request) -> Response:
+        return JSONResponse(await self.quickly(start_view))
+
+    async def ports(self, _: Request) -> Response:
+        return JSONResponse({"ports": plain(await self.quickly(catalogue.ports))})
+
+    async def events(self, request: Request) -> Response:
+        return _News(self.jobs, _page(request.query_params.get("page")))
+
+    async def example_photo(self, _: Request) -> Response:
+        content = await self.quickly(_bundled_photo)
+        return JSONResponse({"photo": self.uploads.add(content, ".png")})
+
+    async def upload_photo(self, request: Request) -> Response:
+        suffix = request.query_params.get("suffix", "")
+        return JSONResponse({"photo": await self.uploads.photo(request.stream(), suffix=suffix)})
+
+    async def shot(self, request: Request) -> Response:
+        photo = self.uploads.path(request.path_params["key"])
+        return Response(await self.quickly(shot_archive, photo), media_type="application/zip")
+
+    def uploading(
+        self, suffix: str, field: str, read: Callable[..., Mapping[str, Any]]
+    ) -> Endpoint:
+        """Return what answers with the content of a text that is sent."""
+
+        async def endpoint(request: Request) -> Response:
+            file = await self.uploads.text(request.stream(), suffix, field=field)
+            try:
+                return JSONResponse(await self.quickly(read, file, request.query_params))
+            finally:
+                file.unlink(missing_ok=True)
+
+        return endpoint
+
+    def made_of_photo(self, ending: str, media_type: str) -> Endpoint:
+        """Return what answers with a file beside a photo's."""
+
+        async def endpoint(request: Request) -> Response:
+            file = beside(self.uploads.path(request.path_params["key"]), ending)
+            if not file.is_file():
+                raise HTTPException(404)
+            return FileResponse(file, media_type=media_type)
+
+        return endpoint
 
 
 def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Starlette:
@@ -194,9 +242,6 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
         State that a page without one in its address begins with.
     """
     studio = _Studio()
-    first = {}
-    if first_state is not None:
-        first = {"state": first_state}
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
@@ -206,96 +251,46 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
             yield
         studio.close()
 
+    async def opened_state(_: Request) -> Response:
+        return JSONResponse({} if first_state is None else {"state": first_state})
+
+    async def static(request: Request) -> Response:
+        return _static(request.path_params.get("name", "index.html"))
+
     def answering(answer: Answer) -> Endpoint:
         async def endpoint(request: Request) -> Response:
             return JSONResponse(await answer(await _document(request)))
 
         return endpoint
 
-    async def upload_photo(request: Request) -> Response:
-        suffix = request.query_params.get("suffix", "")
-        return JSONResponse({"photo": await studio.uploads.photo(request.stream(), suffix=suffix)})
-
-    def uploading(suffix: str, field: str, read: Callable[..., Mapping[str, Any]]) -> Endpoint:
-        async def endpoint(request: Request) -> Response:
-            file = await studio.uploads.text(request.stream(), suffix, field=field)
-            try:
-                return JSONResponse(await studio.quickly(read, file, request.query_params))
-            finally:
-                file.unlink(missing_ok=True)
-
-        return endpoint
-
-    async def example_photo(_: Request) -> Response:
-        content = await studio.quickly(_bundled_photo)
-        return JSONResponse({"photo": studio.uploads.add(content, ".png")})
-
-    def made_of_photo(ending: str, media_type: str) -> Endpoint:
-        async def endpoint(request: Request) -> Response:
-            photo = studio.uploads.path(request.path_params["key"])
-            file = photo.with_name(f"{photo.stem}_{ending}")
-            if not file.is_file():
-                raise HTTPException(404)
-            return FileResponse(file, media_type=media_type)
-
-        return endpoint
-
-    async def shot(request: Request) -> Response:
-        photo = studio.uploads.path(request.path_params["key"])
-        return Response(await studio.quickly(shot_archive, photo), media_type="application/zip")
-
-    async def start(_: Request) -> Response:
-        return JSONResponse(await studio.quickly(start_view))
-
-    async def opened_state(_: Request) -> Response:
-        return JSONResponse(first)
-
-    async def ports(_: Request) -> Response:
-        return JSONResponse({"ports": plain(await studio.quickly(catalogue.ports))})
-
-    async def events(request: Request) -> Response:
-        return _News(studio.jobs, _page(request.query_params.get("page")))
-
-    async def static(request: Request) -> Response:
-        return _static(request.path_params.get("name", "index.html"))
-
-    answers = {
-        "picture": studio.picture,
-        "photos": studio.photos,
-        "verdict": studio.verdict,
-        "compare": studio.compare,
-        "export": studio.export,
-        "save": studio.save,
-        "job": studio.job,
-        "stop": studio.stop,
+    reads: dict[str, Endpoint] = {
+        "/": static,
+        "/static/{name}": static,
+        "/api/start": studio.start,
+        "/api/opened": opened_state,
+        "/api/ports": studio.ports,
+        "/api/events": studio.events,
+        "/api/photo/{key}": studio.made_of_photo("preview.jpg", "image/jpeg"),
+        "/api/photo/{key}/sharpened": studio.made_of_photo("sharp_preview.jpg", "image/jpeg"),
+        "/api/photo/{key}/sharpened.png": studio.made_of_photo("sharp.png", "image/png"),
+        "/api/photo/{key}/shot.zip": studio.shot,
     }
-    routes = [
-        Route("/", static),
-        Route("/static/{name}", static),
-        Route("/api/start", start),
-        Route("/api/opened", opened_state),
-        Route("/api/ports", ports),
-        Route("/api/events", events),
-        Route("/api/photo/{key}", made_of_photo("preview.jpg", "image/jpeg")),
-        Route("/api/photo/{key}/sharpened", made_of_photo("sharp_preview.jpg", "image/jpeg")),
-        Route("/api/photo/{key}/sharpened.png", made_of_photo("sharp.png", "image/png")),
-        Route("/api/photo/{key}/shot.zip", shot),
-        Route("/api/example-photo", example_photo, methods=["POST"]),
-        Route("/api/upload/photo", upload_photo, methods=["POST"]),
-        Route(
-            "/api/upload/document",
-            uploading(".json", "open_file", lambda file, _: opened_document(file)),
-            methods=["POST"],
+    writes: dict[str, Endpoint] = {
+        "/api/example-photo": studio.example_photo,
+        "/api/upload/photo": studio.upload_photo,
+        "/api/upload/document": studio.uploading(
+            ".json", "open_file", lambda file, _: opened_document(file)
         ),
-        Route("/api/upload/gyro", uploading(".csv", "gyro", opened_gyro), methods=["POST"]),
-        *(
-            Route(f"/api/{name}", answering(answer), methods=["POST"])
-            for name, answer in answers.items()
-        ),
-    ]
+        "/api/upload/gyro": studio.uploading(".csv", "gyro", opened_gyro),
+    }
+    for name in ("picture", "photos", "verdict", "compare", "export", "save", "job", "stop"):
+        writes[f"/api/{name}"] = answering(getattr(studio, name))
     handlers: dict[Any, Any] = dict.fromkeys((*_STATUS, ClientDisconnect), _refused)
     app = Starlette(
-        routes=routes,
+        routes=[
+            *(Route(path, endpoint) for path, endpoint in reads.items()),
+            *(Route(path, endpoint, methods=["POST"]) for path, endpoint in writes.items()),
+        ],
         lifespan=lifespan,
         exception_handlers=handlers,
         middleware=[Middleware(Gate, keys=keys)],

@@ -9,8 +9,8 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cep.studio.fields import FieldError, disk_error
-from cep.studio.previews import write_preview
+from cep.studio.fields import FieldError, writing
+from cep.studio.photo_files import beside, write_preview
 from cep.studio.state import read_setting
 
 if TYPE_CHECKING:
@@ -69,20 +69,18 @@ def shoot(order: Mapping[str, Any], tell: Callable[..., None]) -> Mapping[str, A
         "height": rows,
         "warnings": [*notes, *(text for text in shot.warnings if text != light.advice)],
     }
-    try:
+    with writing("shot_camera"):
         write_shot(file.parent, file.stem, shot.frame, shot.record, force=True)
         write_preview(file, "preview", linear)
         if not shot.counts:
             return about
         tell(0.5, "restoring it", best=about)
-        sharp = restored_shot(shot, lambda share, note: tell(0.5 + 0.45 * share, note))
-        bits = 8 if shot.record.bits <= 8 else 16
-        sharp.save(file.with_name(f"{file.stem}_sharp.png"), bits=bits)
+        try:
+            sharp = restored_shot(shot, lambda share, note: tell(0.5 + 0.45 * share, note))
+        except ValueError as error:
+            raise _refusal(error, order) from None
+        sharp.save(beside(file, "sharp.png"), bits=8 if shot.record.bits <= 8 else 16)
         write_preview(file, "sharp_preview", sharp.image)
-    except OSError as error:
-        raise disk_error("shot_camera", error) from None
-    except ValueError as error:
-        raise _refusal(error, order) from None
     return {**about, "restored": True, "warnings": [*about["warnings"], *sharp.warnings]}
 
 
@@ -93,7 +91,7 @@ def shot_archive(file: Path) -> bytes:
         for name, source in (
             ("photo.tif", file),
             ("photo.json", file.with_suffix(".json")),
-            ("restored.png", file.with_name(f"{file.stem}_sharp.png")),
+            ("restored.png", beside(file, "sharp.png")),
         ):
             if source.is_file():
                 archive.write(source, name)

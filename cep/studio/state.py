@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -330,6 +330,21 @@ def path_fields(trajectory: cep.Trajectory) -> dict[str, Any]:
         name: np.round(values, 5).tolist() for name, values in (("x", path.x), ("y", path.y))
     }
     return {"kind": "path", "direction": path.direction, "t": t.tolist(), **samples}
+
+
+def described_paths(
+    weights: Sequence[float], paths: Sequence[cep.Trajectory]
+) -> list[dict[str, Any]]:
+    """Return motions with their probabilities and sizes, as the page lists them."""
+    return [
+        {
+            "weight": weight,
+            "length_px": path.length_px,
+            "extent_px": path.extent_px,
+            **path_fields(path),
+        }
+        for weight, path in zip(weights, paths, strict=True)
+    ]
 
 
 def _motion(motion: object) -> tuple[Mapping[str, Any], cep.Trajectory]:

@@ -8,7 +8,7 @@ from collections.abc import AsyncIterator, Callable, Mapping
 from pathlib import Path
 
 from cep.files.raw_files import RAW_SUFFIXES
-from cep.studio.fields import FieldError, disk_error
+from cep.studio.fields import FieldError, writing
 
 _KEPT = 8  # photos; the oldest goes first
 # by their first bytes, whatever the name says
@@ -49,7 +49,8 @@ class Uploads:
         key = secrets.token_hex(16)
         partial = self.folder / f"{key}.part"
         try:
-            head = await _streamed(chunks, partial)
+            with writing("photo"):
+                head = await _streamed(chunks, partial)
             # RAW files have no head in common: their suffix is believed, and LibRaw finds out
             kinds = [ending for ending in RAW_SUFFIXES if ending == suffix.lower()]
             kinds += [ending for ending, is_kind in _PHOTOS.items() if is_kind(head)]
@@ -59,8 +60,6 @@ class Uploads:
                     "a photo is a PNG, JPEG, TIFF, WebP or RAW file; this file is none of them",
                 )
             self._photos[key] = partial.rename(self.folder / f"{key}{kinds[0]}")
-        except OSError as error:
-            raise disk_error("photo", error) from None
         finally:
             partial.unlink(missing_ok=True)
         self._drop_oldest()
@@ -70,11 +69,10 @@ class Uploads:
         """Keep a text for as long as it is read; the caller removes it."""
         partial = self.folder / f"{secrets.token_hex(16)}{suffix}"
         try:
-            await _streamed(chunks, partial)
-        except BaseException as error:
+            with writing(field):
+                await _streamed(chunks, partial)
+        except BaseException:
             partial.unlink(missing_ok=True)
-            if isinstance(error, OSError):
-                raise disk_error(field, error) from None
             raise
         return partial
 
@@ -83,10 +81,11 @@ class Uploads:
         key = secrets.token_hex(16)
         file = self.folder / f"{key}{suffix}"
         try:
-            file.write_bytes(content)
-        except OSError as error:
+            with writing("photo"):
+                file.write_bytes(content)
+        except FieldError:
             file.unlink(missing_ok=True)
-            raise disk_error("photo", error) from None
+            raise
         self._photos[key] = file
         return key
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -16,13 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from cep.studio.fields import FieldError, disk_error, nameless
-from cep.studio.previews import PREVIEW_PX, write_preview
+from cep.studio.fields import FieldError, nameless, writing
+from cep.studio.photo_files import (
+    PREVIEW_PX,
+    beside,
+    read_motion,
+    write_motion,
+    write_preview,
+)
 from cep.studio.shots import shoot
-from cep.studio.state import path_fields, read_search, read_setting
-from motdiff.estimators.base import MotionEstimate
-from motdiff.files.json_files import json_text, plain
-from motdiff.trajectory import Trajectory
+from cep.studio.state import described_paths, read_search, read_setting
+from motdiff.files.json_files import plain
 
 Order = Mapping[str, Any]
 Tell = Callable[..., None]
@@ -133,10 +136,8 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
         )
     except ValueError as error:
         raise FieldError("photo", nameless(error, file, "the photo")) from None
-    try:
+    with writing("photo"):
         write_preview(file, "preview", small)
-    except OSError as error:
-        raise disk_error("photo", error) from None
     pixels = photo.pixels
     notes = list(photo.warnings)
     if pixels.shape[:2] != (height, width):
@@ -153,31 +154,17 @@ def _calibrate(order: Order, tell: Tell) -> Mapping[str, Any]:
         )
     except ValueError as error:
         raise FieldError("photo", str(error).removeprefix("photo: ")) from None
-    try:
-        _write_motion(file, motion)
-    except OSError as error:
-        raise disk_error("photo", error) from None
+    with writing("photo"):
+        write_motion(file, motion)
     tell(0.85, "restoring a part of the photo")
     scene = sharpen(centre_crop(pixels, _SCENE_PX, _SCENE_PX).astype(np.float64), motion)
-    try:
-        # under another name first: a page may read the one before
-        with new_file(file.with_name(f"{file.stem}_scene.npy")) as temporary:
-            np.save(temporary, np.clip(scene.image, 0, 1).astype(np.float32))
-    except OSError as error:
-        raise disk_error("photo", error) from None
-    paths = [
-        {
-            "weight": weight,
-            "length_px": path.length_px,
-            "extent_px": path.extent_px,
-            **path_fields(path),
-        }
-        for weight, path in zip(motion.weights, motion.trajectories, strict=True)
-    ]
+    # under another name first: a page may read the one before
+    with writing("photo"), new_file(beside(file, "scene.npy")) as temporary:
+        np.save(temporary, np.clip(scene.image, 0, 1).astype(np.float32))
     return {
         "method": motion.method,
         "confidence": motion.confidence,
-        "paths": paths,
+        "paths": described_paths(motion.weights, motion.trajectories),
         "width": width,
         "height": height,
         "warnings": [*notes, *motion.warnings],
@@ -193,7 +180,7 @@ def _sharpen(order: Order, tell: Tell) -> Mapping[str, Any]:
     from cep.restoration.sharpen import sharpen
 
     file = Path(order["path"])
-    motion = _read_motion(file)
+    motion = read_motion(file)
     tell(0.0, "reading the photo")
     try:
         photo = read_photo(file)
@@ -202,54 +189,10 @@ def _sharpen(order: Order, tell: Tell) -> Mapping[str, Any]:
     tell(0.2, "restoring the whole photo")
     restored = sharpen(photo.pixels, motion, anyway=order.get("anyway") is True)
     tell(0.9, "writing it")
-    try:
-        restored.save(file.with_name(f"{file.stem}_sharp.png"), bits=photo.bits)
+    with writing("photo"):
+        restored.save(beside(file, "sharp.png"), bits=photo.bits)
         write_preview(file, "sharp_preview", restored.image)
-    except OSError as error:
-        raise disk_error("photo", error) from None
     return {"summary": restored.summary, "kept": restored.kept, "warnings": restored.warnings}
-
-
-def _write_motion(file: Path, motion: MotionEstimate) -> None:
-    """Keep what a restoration of the whole photo needs of the motion found in its part."""
-    about = {
-        "confidence": motion.confidence,
-        "warnings": motion.warnings,
-        "psf_warnings": motion.psf_warnings,
-        "details": {
-            name: motion.details[name]
-            for name in ("psf_confidence", "motion_blur")
-            if name in motion.details
-        },
-        "direction": motion.best.direction,
-    }
-    path = motion.best
-    np.savez(
-        file.with_name(f"{file.stem}_motion.npz"),
-        psf=motion.psf,
-        t=path.t,
-        xy=path.xy,
-        about=np.array(json_text(about)),
-    )
-
-
-def _read_motion(file: Path) -> MotionEstimate:
-    source = file.with_name(f"{file.stem}_motion.npz")
-    if not source.is_file():
-        raise FieldError("photo", "its motion has not been found yet")
-    with np.load(source, allow_pickle=False) as arrays:
-        about = json.loads(str(arrays["about"]))
-        path = Trajectory.from_samples(arrays["xy"], t=arrays["t"], direction=about["direction"])
-        return MotionEstimate(
-            "motdiff",
-            (path,),
-            (1.0,),
-            arrays["psf"],
-            about["confidence"],
-            tuple(about["warnings"]),
-            about["details"],
-            tuple(about["psf_warnings"]),
-        )
 
 
 def _search(order: Order, tell: Tell) -> Mapping[str, Any]:

@@ -136,13 +136,7 @@ def request_body(op: int, seq: int, payload: bytes = b"") -> bytes:
 
 
 def parse_reply(body: bytes) -> Reply:
-    """Parse the body of a reply.
-
-    Raises
-    ------
-    FrameError
-        If it is too short, or no reply.
-    """
+    """Parse the body of a reply; FrameError if it is too short, or no reply."""
     if len(body) < 3:
         raise FrameError(f"frame has a body of {len(body)} bytes: a reply has at least 3")
     if not body[0] & _REPLY:
@@ -214,13 +208,7 @@ def unpack_hello(data: bytes) -> Hello:
 
 
 def unpack_status(data: bytes) -> Status:
-    """Parse the data of STATUS.
-
-    Raises
-    ------
-    FrameError
-        If it is too short or the state is unknown.
-    """
+    """Parse the data of STATUS; FrameError if it is too short or the state is unknown."""
     if len(data) < _STATUS.size:
         raise FrameError(f"STATUS reply has {len(data)} bytes: {_STATUS.size} are needed")
     state, *figures = _STATUS.unpack_from(data)
@@ -317,13 +305,7 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
 
 
 def unpack_stored(data: bytes) -> Stored:
-    """Parse the data of READ.
-
-    Raises
-    ------
-    FrameError
-        If lengths disagree or it is no program.
-    """
+    """Parse the data of READ; FrameError if lengths disagree or it is no program."""
     if len(data) <= _STORED.size:
         raise FrameError(
             f"READ reply has {len(data)} bytes: at least {_STORED.size + 1} are needed"

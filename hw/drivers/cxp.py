@@ -145,11 +145,7 @@ class Controller:
             raise
         return UploadReport(
             port=self.link.name,
-            chips=program.chips,
-            chip_ns=program.chip_ns,
-            pulses=program.pulses,
-            duration_ns=program.duration_ns,
-            code_crc32=program.code_crc32,
+            program=program,
             firmware=self.announced.firmware,
             read_back=True,
             trust=self.trust,

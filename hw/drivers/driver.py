@@ -61,8 +61,7 @@ class UploadReport:
     Attributes
     ----------
     port : str
-    chips, chip_ns, pulses, duration_ns, code_crc32 : int
-        As of :class:`hw.program.Program`.
+    program : Program
     trust : Trust
         Proven by the upload.
     read_back : bool
@@ -83,11 +82,7 @@ class UploadReport:
     """
 
     port: str
-    chips: int
-    chip_ns: int
-    pulses: int
-    duration_ns: int
-    code_crc32: int
+    program: Program
     trust: Trust
     read_back: bool
     firmware: str

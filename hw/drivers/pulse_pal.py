@@ -12,11 +12,17 @@ from hw.export.pulse_pal import MAX_PULSES, pulse_train
 from hw.port import LinkError
 from hw.program import Program
 
-_LINKS = {1: Parameter.LINK_1, 2: Parameter.LINK_2}
+_CHANNEL = 1
+_TRIGGER_INPUT = 1
+_HIGH_VOLTS = 5.0  # TTL
 
 
 class PulsePal(WriteOnlyDevice):
     """A Pulse Pal on an open link.
+
+    Output 1 drives the shutter, at 5 V for an open one and 0 V for a closed one; for a device
+    profile with ``closed_level = 1`` it is the other way round. Rising edges of trigger input 1
+    play an armed program.
 
     `upload` and `abort` stop all four outputs, the only way the device has. A trigger takes effect
     some 50 us later.
@@ -25,13 +31,6 @@ class PulsePal(WriteOnlyDevice):
     ----------
     link : PulsePalLink
         Open link that has been greeted, owned by the driver from now on.
-    channel : int
-        Output, 1..4, that drives the shutter.
-    trigger_input : int
-        Trigger input, 1 or 2, whose rising edges play an armed program.
-    high_volts : float
-        Output voltage for an open shutter, above 0 and at most 10 V; 0 V is closed. For a device
-        profile with ``closed_level = 1`` it is the other way round.
 
     Examples
     --------
@@ -45,37 +44,14 @@ class PulsePal(WriteOnlyDevice):
 
     limits = (pulse_train,)
 
-    def __init__(
-        self,
-        link: PulsePalLink,
-        *,
-        channel: int = 1,
-        trigger_input: int = 1,
-        high_volts: float = 5.0,
-    ) -> None:
-        _check_options(channel, trigger_input, high_volts)
+    def __init__(self, link: PulsePalLink) -> None:
         super().__init__(name=link.name)
         self.link = link
-        self.channel = channel
-        self.trigger_input = trigger_input
-        self.high_volts = high_volts
 
     @classmethod
-    def open(
-        cls,
-        port: str,
-        *,
-        channel: int = 1,
-        trigger_input: int = 1,
-        high_volts: float = 5.0,
-        timeout_s: float = 0.5,
-        hello_s: float = 3.0,
-    ) -> Self:
-        """Open the Pulse Pal on a serial port; parameters as the class and `open_pulsepal`."""
-        # wrong options must not touch the device
-        _check_options(channel, trigger_input, high_volts)
-        link = open_pulsepal(port, timeout_s=timeout_s, hello_s=hello_s)
-        return cls(link, channel=channel, trigger_input=trigger_input, high_volts=high_volts)
+    def open(cls, port: str, *, timeout_s: float = 0.5, hello_s: float = 3.0) -> Self:
+        """Open the Pulse Pal on a serial port; parameters as `open_pulsepal`."""
+        return cls(open_pulsepal(port, timeout_s=timeout_s, hello_s=hello_s))
 
     @property
     def firmware(self) -> str:
@@ -99,7 +75,7 @@ class PulsePal(WriteOnlyDevice):
     def _load(self, program: Program, *, profile: DeviceProfile) -> None:
         train = pulse_train(program)
         closed_code = dac_code(0.0)
-        open_code = dac_code(self.high_volts)
+        open_code = dac_code(_HIGH_VOLTS)
         if profile.closed_level:
             closed_code, open_code = open_code, closed_code
         # The closed level comes first: until it is set the output may be at any voltage.
@@ -116,7 +92,7 @@ class PulsePal(WriteOnlyDevice):
             (Parameter.TRAIN_CYCLES, train.train_cycles),
             (Parameter.DELAY_CYCLES, train.delay_cycles),
         ):
-            self.link.set(parameter, self.channel, value)
+            self.link.set(parameter, _CHANNEL, value)
         # the firmware looks one entry past the train: a closed guard has to lie there
         if len(train.onsets_cycles) < MAX_PULSES:  # behind a full train nothing was ever stored
             self.link.load_train((*train.onsets_cycles, train.guard_cycles), open_code)
@@ -125,11 +101,11 @@ class PulsePal(WriteOnlyDevice):
         self.link.check_in_step()
 
     def _arm(self) -> None:
-        self.link.set(Parameter.TRIGGER_MODE, self.trigger_input, 0)
-        self.link.set(_LINKS[self.trigger_input], self.channel, 1)  # last: nothing plays before it
+        self.link.set(Parameter.TRIGGER_MODE, _TRIGGER_INPUT, 0)
+        self.link.set(Parameter.LINK_1, _CHANNEL, 1)  # last: nothing plays before it
 
     def _trigger(self) -> None:
-        self.link.trigger(self.channel)
+        self.link.trigger(_CHANNEL)
 
     def _abort(self) -> None:
         try:
@@ -138,22 +114,13 @@ class PulsePal(WriteOnlyDevice):
             # A device whose answers are lost may still obey: its trigger input must not play the
             # code again.
             with contextlib.suppress(LinkError):
-                self.link.set(_LINKS[self.trigger_input], self.channel, 0)
+                self.link.set(Parameter.LINK_1, _CHANNEL, 0)
             raise
-        for linked in _LINKS.values():
-            self.link.set(linked, self.channel, 0)
+        for linked in (Parameter.LINK_1, Parameter.LINK_2):
+            self.link.set(linked, _CHANNEL, 0)
         # A trigger that was waiting at the first stop has started a train right behind it; now
         # none can follow.
         self.link.stop()
 
     def _disconnect(self) -> None:
         self.link.close()
-
-
-def _check_options(channel: int, trigger_input: int, high_volts: float) -> None:
-    if channel not in (1, 2, 3, 4):
-        raise ValueError(f"channel is {channel!r}: 1, 2, 3 or 4 is needed")
-    if trigger_input not in _LINKS:
-        raise ValueError(f"trigger_input is {trigger_input!r}: 1 or 2 is needed")
-    if not 0 < high_volts <= 10:
-        raise ValueError(f"high_volts is {high_volts!r}: above 0 and at most 10 V is needed")

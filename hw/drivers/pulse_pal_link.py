@@ -148,13 +148,7 @@ class PulsePalLink:
         self._acknowledged(f"{parameter.name} = {value}", self.timeout_s)
 
     def load_train(self, onsets_cycles: Sequence[int], volts_code: int) -> None:
-        """Store custom train 1: pulses of one voltage.
-
-        Raises
-        ------
-        DeviceError, LinkError
-            As `set`.
-        """
+        """Store custom train 1: pulses of one voltage; errors as `set`."""
         count = len(onsets_cycles)
         data = struct.pack(
             f"<BBI{count}I{count}H",

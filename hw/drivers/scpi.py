@@ -166,15 +166,7 @@ class ScpiAwg(WriteOnlyDevice):
         return self._firmware
 
     def trigger(self) -> None:
-        """Play the program once, now.
-
-        Raises
-        ------
-        WrongStateError
-            If it is not armed, or a program that was triggered here is still playing.
-        DeviceError, LinkError
-            If the instrument refuses, or is gone; an abort has then been sent.
-        """
+        """Play the program once, now; WrongStateError if it is not armed, or is still playing."""
         if not self._armed:
             raise WrongStateError(f"{self.name} is not armed: arm before trigger")
         super().trigger()
@@ -257,7 +249,7 @@ class ScpiAwg(WriteOnlyDevice):
 
 
 def open_scpi(resource: str, *, backend: str = "@py", timeout_s: float = 3.0) -> ScpiLink:
-    """Open a VISA resource.
+    """Open a VISA resource; PortError if pyvisa is missing, or the resource cannot be opened.
 
     Parameters
     ----------
@@ -268,11 +260,6 @@ def open_scpi(resource: str, *, backend: str = "@py", timeout_s: float = 3.0) ->
         VISA library: ``@py`` is pyvisa-py, an empty text the one of the system.
     timeout_s : float
         How long to wait for an answer.
-
-    Raises
-    ------
-    PortError
-        If pyvisa is missing, or the resource cannot be opened.
     """
     if not timeout_s > 0:
         raise ValueError(f"timeout_s is {timeout_s}: above 0 is needed")

@@ -42,11 +42,6 @@ class WriteOnlyDevice(ABC):
         # without a lease these devices would stay armed after Python has ended
         atexit.register(self._leave)
 
-    @classmethod
-    @abstractmethod
-    def open(cls, port: str) -> Self:
-        """Open the device on a port, or the resource of that name."""
-
     @property
     @abstractmethod
     def firmware(self) -> str:
@@ -100,11 +95,7 @@ class WriteOnlyDevice(ABC):
             self.arm()
         return UploadReport(
             port=self.name,
-            chips=program.chips,
-            chip_ns=program.chip_ns,
-            pulses=program.pulses,
-            duration_ns=program.duration_ns,
-            code_crc32=program.code_crc32,
+            program=program,
             trust=Trust.B,
             read_back=False,
             firmware=self.firmware,
@@ -116,15 +107,7 @@ class WriteOnlyDevice(ABC):
         )
 
     def arm(self) -> None:
-        """Let each rising edge of the trigger input play the program, until `abort`.
-
-        Raises
-        ------
-        WrongStateError
-            If no program was uploaded here.
-        DeviceError, LinkError
-            If the device refuses, or stops answering; an abort has then been sent.
-        """
+        """Let each rising edge of the trigger input play the program, until `abort`."""
         self._loaded("arm")
         with self._aborted_on_error():
             self._arm()
@@ -155,24 +138,12 @@ class WriteOnlyDevice(ABC):
         time.sleep(max(0.0, self._ends_s - time.monotonic()))
 
     def play(self) -> None:
-        """Play the program once and wait for its end; what was not armed is not left armed.
-
-        Raises
-        ------
-        WrongStateError, DeviceError, LinkError
-            As `trigger`.
-        """
+        """Play the program once and wait for its end; what was not armed is not left armed."""
         self.trigger()
         self.wait()
 
     def abort(self) -> None:
-        """Close the shutter and disarm.
-
-        Raises
-        ------
-        LinkError
-            If the device does not acknowledge.
-        """
+        """Close the shutter and disarm; LinkError if the device does not acknowledge."""
         self._abort()
         self._ends_s = 0.0  # after it: an abort not confirmed may leave a play going on
 

@@ -140,13 +140,7 @@ class ArduinoSketch(Exporter):
     tick_ns = 500
 
     def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
-        """Write the sketch; the Arduino IDE wants it in a folder of the same name.
-
-        Raises
-        ------
-        ValueError
-            If the chip is no whole number of ticks or out of range, or there are too many chips.
-        """
+        """Write the sketch; the Arduino IDE wants it in a folder of the same name."""
         ticks = self.ticks(program, "the sketch", min_ticks=_LEAST_TICKS, max_ticks=_MOST_TICKS)
         if program.chips > _MOST_CHIPS:
             raise ValueError(

@@ -24,11 +24,6 @@ class DmdPatterns(Exporter):
 
         They stay off for ``leading_dark_us`` after the trigger; the last dark time completes the
         code.
-
-        Raises
-        ------
-        ValueError
-            If the chip is no whole number of microseconds, the unit of these devices.
         """
         if program.chip_ns % self.tick_ns:
             nearest_ns = max(program.chip_ns // 1000, 1) * 1000

@@ -95,13 +95,7 @@ class PulsePalTrain(Exporter):
     tick_ns = CYCLE_NS
 
     def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
-        """Write train and settings as TOML, with the device's parameter numbers.
-
-        Raises
-        ------
-        ValueError
-            As `pulse_train`.
-        """
+        """Write train and settings as TOML, with the device's parameter numbers."""
         train = pulse_train(program)
         rest_volts = _HIGH_VOLTS * device.closed_level
         open_volts = _HIGH_VOLTS - rest_volts

@@ -90,14 +90,7 @@ class Rp2Script(Exporter):
     tick_ns = 8
 
     def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
-        """Write the script; saved on the board as ``main.py`` it runs at power-on.
-
-        Raises
-        ------
-        ValueError
-            If the chip is no whole number of 8 ns or below 1 us, or the code does not fit the
-            state machine's queue.
-        """
+        """Write the script; saved on the board as ``main.py`` it runs at power-on."""
         cycles = self.ticks(
             program, "the rp2 script", min_ticks=_LEAST_CYCLES, max_ticks=_MOST_CYCLES
         )

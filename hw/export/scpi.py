@@ -62,13 +62,7 @@ def sample_rate(program: Program, /) -> str:
 
 
 def commands(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[str, ...]:
-    """Commands in sending order; those that end with ``?`` are answered.
-
-    Raises
-    ------
-    ValueError
-        As `samples` and `sample_rate`.
-    """
+    """Commands in sending order; those that end with ``?`` are answered."""
     return (
         "OUTP OFF",  # nothing of the set-up may reach the shutter
         "*CLS",  # errors of earlier commands
@@ -104,13 +98,7 @@ class ScpiScript(Exporter):
     manual = "Keysight 33500 Series Operating and Service Guide"
 
     def export(self, program: Program, device: DeviceProfile = GENERIC, /) -> str:
-        """Write the commands one per line, and remarks that begin with ``#``.
-
-        Raises
-        ------
-        ValueError
-            As `commands`.
-        """
+        """Write the commands one per line, and remarks that begin with ``#``."""
         return f"""\
 # SCPI script written by coded-exposure for arbitrary-waveform generators of the 33500 class.
 # Send it line by line without the lines that begin with '#'; a line that ends with '?' is answered.

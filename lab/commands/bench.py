@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.console import Page, complain, finish, progress
-from cep.commands.jobs import end
+from cep.commands.console import Page, announce, end, finish, progress
 from cep.commands.options import Seed, argument, command, option, output_option
 from lab.commands.tables import (
     Gyro,
@@ -307,9 +306,9 @@ def everything(options: AllOptions) -> None:
             yield from table_page(report.shown)
         yield f"{options.output}: {INDEX}, {', '.join(jobs)}"
 
-    finish(result, as_json=options.as_json, page=page())
+    finish(result, page(), as_json=options.as_json)
     if failed:
-        complain(f"{failed} cells failed: {index} names them")
+        announce(f"{failed} cells failed: {index} names them")
     end(missing=sum(missing.values()), failed=failed)
 
 

@@ -14,6 +14,7 @@ from cep.commands.code_options import (
     exposure_seconds,
     objective_mix,
     openings,
+    saved_on_interrupt,
 )
 from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
@@ -25,7 +26,6 @@ from cep.commands.options import (
     option,
     table_files,
 )
-from cep.commands.search_run import saved_on_interrupt
 
 if TYPE_CHECKING:
     from lab.class_code.optimum import ClassOptimum
@@ -114,8 +114,8 @@ def design_class(options: DesignClassOptions) -> None:
             "warnings": [*motions.warnings, *best.warnings],
             "seed": options.seed,
         },
+        _page(best, options.output),
         as_json=options.as_json,
-        page=_page(best, options.output),
         outputs=outputs,
         save=lambda staged: best.save(staged[options.output], source=motions.source),
         tables=options.tables,

@@ -6,7 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cep.commands.code_options import CodeOptions, SearchOptions, ending, objective_mix
+from cep.commands.code_options import (
+    CodeOptions,
+    SearchOptions,
+    ending,
+    in_bits,
+    objective_mix,
+    saved_on_interrupt,
+)
 from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
     CommonOptions,
@@ -17,7 +24,6 @@ from cep.commands.options import (
     output_option,
     table_files,
 )
-from cep.commands.search_run import in_bits, saved_on_interrupt
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -81,8 +87,8 @@ def frames(options: FramesOptions) -> None:
             "warnings": list(best.warnings),
             "seed": options.seed,
         },
+        _page(best, files),
         as_json=options.as_json,
-        page=_page(best, files),
         outputs=outputs,
         save=lambda staged: best.save([staged[file] for file in files], source=source),
         tables=options.tables,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cep.commands.code_options import SEARCH, CodeOptions, chips_option, ending
+from cep.commands.code_options import SEARCH, CodeOptions, chips_option, ending, in_bits
 from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
     CommonOptions,
@@ -18,7 +18,6 @@ from cep.commands.options import (
     output_option,
     table_files,
 )
-from cep.commands.search_run import in_bits
 
 if TYPE_CHECKING:
     from lab.fronts.run import FrontComparison
@@ -120,8 +119,8 @@ def pareto(options: ParetoOptions) -> None:
     source = {"trajectory": file, "linear_px": options.linear}
     finish(
         result,
+        _page(front, output, picture),
         as_json=options.as_json,
-        page=_page(front, output, picture),
         outputs=outputs,
         save=lambda staged: front.save(staged[output], staged[picture], source=source),
         tables=options.tables,

@@ -88,8 +88,8 @@ def prove(options: ProveOptions) -> None:
         )
     finish(
         {**proof.to_dict(), "seed": options.seed, "warnings": warnings},
+        _page_proof(proof),
         as_json=options.as_json,
-        page=_page_proof(proof),
     )
     if not is_whole:
         raise typer.Exit(INTERRUPTED)
@@ -131,13 +131,7 @@ def _check(options: ProveOptions, file: Path) -> None:
         if output is not None:
             write_text(temporary[output], json_text(result))
 
-    finish(
-        result,
-        as_json=options.as_json,
-        page=_page_verdict(verdict),
-        outputs=outputs,
-        save=save,
-    )
+    finish(result, _page_verdict(verdict), as_json=options.as_json, outputs=outputs, save=save)
 
 
 def _page_proof(proof: BlockProof) -> Page:

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cep.commands.console import Page, finish, progress
+from cep.commands.console import Page, end, finish, progress
 from cep.commands.console import Table as SheetTable
-from cep.commands.jobs import MANY, Workers, end
-from cep.commands.options import Force, Json, flag, option, output_option
+from cep.commands.options import MANY, Force, Json, Workers, flag, option, output_option
 
 if TYPE_CHECKING:
     from cep.files.tables import Bold
@@ -129,7 +128,7 @@ def _finish_table(about: Mapping[str, object], report: Report, *, as_json: bool)
         folder = next(iter(report.files.values())).parent
         yield f"{folder}: {', '.join(report.files)}"
 
-    finish(result, as_json=as_json, page=page())
+    finish(result, page(), as_json=as_json)
     end(missing=missing, failed=len(report.outcome.reasons))
 
 

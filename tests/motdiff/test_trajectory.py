@@ -1,5 +1,7 @@
 """Closed forms, dense quadrature and invariances of trajectories."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -79,7 +81,9 @@ def test_straight_motion_has_a_sinc_otf(
 def test_reversal_and_mirror(seed: int, f: tuple[float, float]) -> None:
     motion = wiggle(seed)
     assert motion.reversed().otf(*f) == pytest.approx(motion.otf(*f), abs=1e-12)
-    assert motion.mirrored().otf(*f) == pytest.approx(np.conj(motion.otf(*f)), abs=1e-12)
+    assert replace(motion, xy=-motion.xy).otf(*f) == pytest.approx(
+        np.conj(motion.otf(*f)), abs=1e-12
+    )
     edges = np.linspace(0, 1, 6)
     forward = motion.slice_otfs(edges, *f)
     np.testing.assert_allclose(motion.reversed().slice_otfs(edges, *f), forward[::-1], atol=1e-12)
@@ -245,8 +249,6 @@ def test_resampling() -> None:
     # chords of a bent path are at most the arc between the points
     assert np.linalg.norm(np.diff(even, axis=0), axis=1).max() <= motion.length_px / 49 + 1e-9
     np.testing.assert_allclose(even[[0, -1]], motion.xy[[0, -1]])
-    again = motion.resampled(30)
-    np.testing.assert_allclose(np.diff(again.t), 1 / 29)
 
 
 @pytest.mark.parametrize(

@@ -21,9 +21,8 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.proofs.measure import CodeMetrics, measure
-from cep.restoration.blind import find_psf
 from cep.restoration.direction import detect_direction
-from cep.restoration.restore import restore
+from cep.restoration.restore import find_psf, restore
 from lab.bench.coded.designs import MotionPrior, design_code
 from lab.bench.coded.protocol import paths_from, paths_to
 from lab.bench.datasets import Cut, sharp_scene

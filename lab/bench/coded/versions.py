@@ -63,7 +63,12 @@ def motion_version(kind: str) -> str:
 
 def kernel_version() -> str:
     """Cache version of the kernels found in the photos themselves."""
-    modules = ["cep.restoration.blind", "motdiff.metrics", "motdiff.simulate", "cep.optics.camera"]
+    modules = [
+        "cep.restoration.restore",
+        "motdiff.metrics",
+        "motdiff.simulate",
+        "cep.optics.camera",
+    ]
     return source_version(modules, alone=_EXPOSED)
 
 

@@ -81,7 +81,7 @@ def _train(options: argparse.Namespace) -> None:
 
 
 def _evaluate(options: argparse.Namespace) -> None:
-    from cep.restoration.denoiser.weights import SHIPPED, load_denoiser
+    from cep.restoration.denoiser.network import SHIPPED, load_denoiser
     from lab.trainings.denoiser.evaluation import restoration_rows
     from motdiff.training.photos import load_photos
 

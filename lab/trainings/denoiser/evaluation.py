@@ -44,7 +44,7 @@ def restoration_rows(
     ----------
     photos : sequence of (3, H, W) uint8 tensors, display values
     denoiser : callable
-        Of :func:`cep.restoration.denoiser.weights.load_denoiser`.
+        Of :func:`cep.restoration.denoiser.network.load_denoiser`.
     seed : int
     """
     motions = {

@@ -12,12 +12,12 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from cep.restoration.denoiser.network import DenoisingNetwork
-from cep.restoration.denoiser.weights import write_weights
+from cep.restoration.denoiser.network import SCHEMA, DenoisingNetwork
 from cep.restoration.plug_and_play import FIRST_SIGMA, MOST_RATIO, PRIOR, STEPS
 from lab.trainings.averaged import AveragedNetwork, set_rate
 from lab.trainings.denoiser import samples
 from lab.trainings.denoiser.samples import Photos, column
+from motdiff.weights_io import halved, write_with_card
 
 _WARM_UP_STEPS = 100
 _LAST_RATE = 0.01  # of the first, at the end of the cosine
@@ -235,7 +235,8 @@ def train(
                 "seconds": round(moment - started),
                 "settings": asdict(settings),
             }
-            write_weights(trainer.average.state_dict(), target, about=about)
+            weights = halved(trainer.average.state_dict(), source=target)
+            write_with_card(weights, target, schema=SCHEMA, card=about)
             report(f"{trainer.step} updates, {moment - started:.0f} s, loss {float(loss):.4f}")
             saved = moment
     return trainer.step

@@ -2,18 +2,15 @@
 said."""
 
 import re
-from pathlib import Path
 
 import pytest
-import typer
 from console_tables import WIDTHS, check, rendered
 from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from cep.calibration.calibrate_folder import FolderResults
+from cep.commands.calibrate import folder_table
 from cep.commands.console import Table, finish
-from cep.commands.jobs import finish_folder
 from cep.files.tables import Bold
 
 NAMES = st.lists(
@@ -88,23 +85,18 @@ def test_every_commands_tables_at_every_width(shown, workplace, command, tables)
         check(one)
 
 
-def test_the_table_of_a_folder_says_what_failed_at_every_width(capsys, monkeypatch):
-    heads = {"photo": "photo", **{f"figure{index}": f"figure {index}, px" for index in range(9)}}
+def test_the_table_of_a_folder_says_what_failed_at_every_width():
     row = {
         "photo": "DSC01234567890123456789.ARW",
-        **{f"figure{index}": 1.25 for index in range(9)},
+        **dict.fromkeys(("length_px", "extent_px", "confidence", "seconds"), 1.25),
+        "direction": "unknown",
+        "failure": "is gone",
     }
-    found = FolderResults(Path(), Path("motions.csv"), {}, [{**row, "failure": "is gone"}], 0, [])
     for width in WIDTHS:
-        monkeypatch.setenv("COLUMNS", str(width))
-        with pytest.raises(typer.Exit):
-            finish_folder(
-                {"summary": "motions.csv"}, heads, found, title="", noun="photos", as_json=False
-            )
-        out = capsys.readouterr().out
+        out = rendered(folder_table([row]), width)
         assert " failed" in out
         assert "DSC0123456789012" in out
-        assert ("left out" in out) == (width < 120)
+        assert ("left out" in out) == (width < 80)
 
 
 def test_brackets_of_names_are_printed_as_they_are(capsys):

@@ -251,7 +251,7 @@ def test_no_command_prints_while_its_bar_is_shown(file):
     functions = {
         node.name: calls_in(node) for node in tree.body if isinstance(node, ast.FunctionDef)
     }
-    printing = {"finish", "finish_folder", "complain", "warn"}
+    printing = {"finish", "announce", "warn"}
     while more := {name for name, calls in functions.items() if calls & printing} - printing:
         printing |= more
     for node in ast.walk(tree):

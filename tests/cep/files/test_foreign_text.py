@@ -15,7 +15,7 @@ from hostile_names import HOSTILE
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cep.commands.console import Table, complain, print_page, progress
+from cep.commands.console import Table, announce, print_page, progress
 from cep.files.code_files import StoredCode, write_code
 from cep.files.foreign_text import (
     csv_text,
@@ -49,7 +49,7 @@ def printed(monkeypatch):
 @pytest.mark.parametrize("name", HOSTILE, ids=ascii)
 def test_a_terminal_obeys_no_name(printed, capsys, name):
     shown = printed(f"{name}: written", Table(name, ("", name), [(name, Bold(name))]))
-    complain(f"{name}: is no photo")
+    announce(f"{name}: is no photo")
     told = capsys.readouterr().err
     assert told.count("\n") == 1
     for text in (shown.replace("\n", ""), told.replace("\n", "")):

@@ -136,7 +136,9 @@ def test_a_very_long_motion_is_sampled_within_memory_and_still_resolved(length_p
 
 def test_straight_and_uniform_are_recognised():
     straight = Trajectory.straight(12, angle_rad=1.1)
-    assert uniform_length_px(straight.resampled(40)) == pytest.approx(12)
+    assert uniform_length_px(
+        Trajectory.from_samples(straight.at(np.linspace(0, 1, 40)))
+    ) == pytest.approx(12)
     speeding = Trajectory.from_samples(np.outer(np.linspace(0, 1, 30) ** 2, [3.0, 4.0]))
     assert straight_axis(speeding) == pytest.approx([0.6, 0.8])
     assert uniform_length_px(speeding) is None

@@ -8,8 +8,7 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
-from cep.restoration import blind
-from cep.restoration.restore import restore
+from cep.restoration.restore import find_psf, restore
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
@@ -53,10 +52,10 @@ def test_a_lost_psf_is_said_to_be_lost(monkeypatch):
         return MotionEstimate("pmp", (PATH,), (1.0,), PATH.psf(), 0.2, said, psf_warnings=said[1:])
 
     monkeypatch.setattr(PmpEstimator, "estimate", lost)
-    found = blind.find_psf(PHOTO, CODE)
+    found = find_psf(PHOTO, CODE)
     assert found.psf.sum() == pytest.approx(CODE.duty)
     assert found.confidence == 0.2
-    first, second = found.warnings
+    first, second = found.psf_warnings
     assert "may be worse" in first
     assert second == "of its PSF"
     assert restore(PHOTO, code=CODE).warnings[0] == first

@@ -140,4 +140,4 @@ def test_lights_are_possible_light_and_their_ringing_is_not():
 
 def test_the_right_psf_is_chosen_beside_lights():
     wrong = Trajectory.straight(14.0, angle_rad=-1.0).psf(33)
-    assert choose_psf(PHOTO, {"a": wrong, "b": PSF}, prior_db={"a": 0.0, "b": 0.0}).name == "b"
+    assert choose_psf(PHOTO, {"a": wrong, "b": PSF}, prior_db={"a": 0.0, "b": 0.0})[0] == "b"

@@ -12,7 +12,8 @@ from cep.files.images import write_image
 from cep.files.shot_files import ShotRecord, read_shot, record_beside, write_shot
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.optics.exposure import coded_psf
+from cep.optics.exposure import played_psf
+from cep.optics.timeline import timeline
 from cep.plots.wiring import wiring_figure
 from cep.shutter.belt import play_on_triggers
 from cep.shutter.cameras import CAMERAS
@@ -66,7 +67,7 @@ def test_a_photo_counts_and_is_that_of_the_pins(twin, release):
     trigger = next(cycle for cycle, level in camera.uno.edges(pin) if level)
     bounds = ((cycles - trigger) / CLOCK_HZ - lead_s) / (CODE.duration_ns * 1e-9)
     runs = ShutterCode("".join("10"[k % 2] for k in range(len(bounds) - 1)))
-    psf = coded_psf(PATH, runs, size=(PATH.frame_size() | 1) + 2, edges=bounds)
+    psf = played_psf(timeline(PATH, bounds, None, code=runs), runs, (PATH.frame_size() | 1) + 2)
     clean = blur_valid(camera.scene.light, psf)
     assert camera.clean[1:-1, 1:-1] == pytest.approx(clean, abs=1e-9)
     # and the frame is the twin's own bits

@@ -120,13 +120,7 @@ def test_upload_sends_these_messages_and_no_others():
     ]
     assert device.messages.count("SYST:ERR?") == 25  # one after each command but those of ABORT
     assert device.arbs == {"SHUTTER": [-1, 1, 1, -1, 1, -1, -1, -1]}
-    assert (report.port, report.chips, report.chip_ns, report.pulses) == (
-        device.resource,
-        4,
-        200_000,
-        2,
-    )
-    assert (report.duration_ns, report.code_crc32) == (program.duration_ns, program.code_crc32)
+    assert (report.port, report.program) == (device.resource, program)
     assert (report.trust, report.read_back, report.armed, report.lease_ms) == (
         Trust.B,
         False,
@@ -480,7 +474,7 @@ def test_refused_data_and_errors_of_others():
     with Awg() as device, ScpiAwg.open(device.resource) as awg:
         execute(device, "NONSENSE", "VOLT:HIGH twelve")
         assert len(device.errors) == 2
-        assert awg.upload(PROGRAM).chips == 52
+        assert awg.upload(PROGRAM).program == PROGRAM
 
 
 @pytest.mark.parametrize("start", ["OUTP OFF", "DATA:ARB", "FUNC:ARB:SRAT?", "OUTP ON"])

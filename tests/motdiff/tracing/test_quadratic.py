@@ -24,7 +24,7 @@ def psf_of(path):
 
 
 def centred(path):
-    points = path.resampled(200).xy
+    points = path.at(np.linspace(0, 1, 200))
     return points - points.mean(axis=0)
 
 

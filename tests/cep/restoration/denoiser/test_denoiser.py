@@ -9,16 +9,10 @@ import torch
 from safetensors.torch import save_file
 from skimage import data
 
-from cep.restoration.denoiser import weights
-from cep.restoration.denoiser.network import DenoisingNetwork
-from cep.restoration.denoiser.weights import (
-    SCHEMA,
-    SHIPPED,
-    load_denoiser,
-    read_card,
-    write_weights,
-)
+from cep.restoration.denoiser import network as denoiser
+from cep.restoration.denoiser.network import SCHEMA, SHIPPED, DenoisingNetwork, load_denoiser
 from motdiff.simulate import to_linear
+from motdiff.weights_io import halved, read_card
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -54,8 +48,7 @@ def test_image_and_noise_level_scale_together():
 
 def test_weights_beyond_half_precision_are_refused(tmp_path):
     with pytest.raises(ValueError, match="float16"):
-        write_weights({"a": torch.tensor([1e6])}, tmp_path / "d.safetensors", about={})
-    assert not list(tmp_path.iterdir())
+        halved({"a": torch.tensor([1e6])}, source=tmp_path / "d.safetensors")
 
 
 def test_files_that_are_not_ours_are_refused(tmp_path):
@@ -80,7 +73,7 @@ def test_files_that_are_not_ours_are_refused(tmp_path):
 
 def test_the_card_says_what_they_are():
     assert SHIPPED.stat().st_size <= 1.5 * 2**20
-    card = read_card()
+    card = read_card(SHIPPED, SCHEMA)
     text = SHIPPED.with_name("README.md").read_text(encoding="utf-8")
     assert f"{card['steps']:,} updates" in text
     assert f"{round(card['seconds'] / 60)} minutes" in text
@@ -92,7 +85,7 @@ def test_tiles_join_without_a_seam(monkeypatch):
     scene = to_linear(data.camera()[100:300, 150:351] / 255)[None]
     sigma = np.array([0.03])
     whole = load_denoiser()(scene, sigma)
-    monkeypatch.setattr(weights, "_TILE_PX", 70)
+    monkeypatch.setattr(denoiser, "_TILE_PX", 70)
     tiled = load_denoiser()(scene, sigma)
     np.testing.assert_allclose(tiled, whole, atol=1e-4)
 

@@ -10,8 +10,7 @@ import torch
 
 from cep.files.images import write_image
 from cep.restoration.blur import Blur
-from cep.restoration.denoiser.network import DenoisingNetwork
-from cep.restoration.denoiser.weights import load_denoiser, read_card
+from cep.restoration.denoiser.network import SCHEMA, DenoisingNetwork, load_denoiser
 from cep.restoration.noise import fit_spectrum
 from cep.restoration.plug_and_play import pnp
 from lab.trainings.denoiser import samples
@@ -20,6 +19,7 @@ from lab.trainings.denoiser.samples import Photos
 from lab.trainings.denoiser.training import Settings, Trainer, scene_strength, train
 from motdiff.simulate import to_linear
 from motdiff.training.photos import load_photos
+from motdiff.weights_io import read_card
 
 TINY = Settings(batch=2, crop_px=16, blurred_batch=2, blurred_px=72)
 
@@ -175,7 +175,7 @@ def test_a_run_is_as_long_as_its_clock_says_and_writes_as_it_goes(joined, paths,
     )
     assert steps == 6
     assert len(lines) == 2
-    assert read_card(target) == {"steps": 6, "seconds": 60, "settings": asdict(TINY)}
+    assert read_card(target, SCHEMA) == {"steps": 6, "seconds": 60, "settings": asdict(TINY)}
     again = tmp_path / "again.safetensors"
     train(joined, paths, again, minutes=1.0, settings=TINY, clock=clock(10.0))
     assert again.read_bytes() == target.read_bytes()
@@ -214,7 +214,7 @@ def test_the_command_packs_trains_and_evaluates(tmp_path, capsys):
     assert tuple(load_photos(pack, least_px=1)[0].shape) == (3, 131, 144)
     small = ("--minutes", "0.001", "--batch", "2", "--blurred-batch", "2")
     assert run(["train", str(pack), "-o", str(target), *small]) == 0
-    assert read_card(target)["steps"] >= 1
+    assert read_card(target, SCHEMA)["steps"] >= 1
     assert run(["evaluate", str(folder), "--weights", str(target)]) == 0
     rows = re.findall(r"\| (-?[\d.]+) \| (-?[\d.]+) \|$", capsys.readouterr().out, re.MULTILINE)
     assert len(rows) == 36

@@ -18,7 +18,8 @@ from motdiff.trajectory import Trajectory
 
 KNOTS = 53
 SIDE_PX = 216
-TRUTH = boracchi_foi(np.random.default_rng(3), max_length_px=40).resampled(KNOTS)
+WALK = boracchi_foi(np.random.default_rng(3), max_length_px=40)
+TRUTH = Trajectory.from_samples(WALK.at(np.linspace(0, 1, KNOTS)))
 SHIFTS_PX = np.array([[0, 0], [1.3, -0.6], [-1.8, 0.4], [0.5, 2.0]])
 GAINS = np.array([1, 0.8, 1.1, 0.95])
 UNKNOWNS = Unknowns(KNOTS, 4)
