@@ -194,18 +194,18 @@ class KernelTerm:
             share = 1 / (1 + residual.abs().square().sum(2, keepdim=True) / self._saturation)
             scale = scale * share
             residual = residual * share
-        jacobian = torch.zeros(*residual.shape, end + 2 * un.exposures, dtype=torch.complex64)
-        slopes = slopes * scale[..., None]
+        J = torch.zeros(len(x), end + 2 * un.exposures, *residual.shape[1:], dtype=torch.complex64)
+        slopes = slopes.transpose(1, 2) * scale[:, None]
         by_shift = -1j * otfs * scale
         for axis in (0, 1):
-            jacobian[..., axis:end:2] = slopes * phase[:, axis, None]
+            J[:, axis:end:2] = slopes * phase[:, axis]
             for photo in range(un.exposures):
-                jacobian[:, photo, :, end + 2 * photo + axis] = by_shift[:, photo] * phase[:, axis]
+                J[:, end + 2 * photo + axis, photo] = by_shift[:, photo] * phase[:, axis]
         index = torch.cat([torch.arange(end), torch.arange(un.kernel_shift(0), un.size)])
-        J = torch.view_as_real(jacobian.flatten(1, 2)).transpose(2, 3).flatten(1, 2)
-        r = torch.view_as_real(residual.flatten(1, 2)).flatten(1, 2)
-        JJ[:, index[:, None], index] += J.transpose(1, 2) @ J
-        Jr[:, index] += torch.einsum("bmn,bm->bn", J, r)
+        flat = torch.view_as_real(J).flatten(2)
+        r = torch.view_as_real(residual).flatten(1)
+        JJ[:, index[:, None], index] += flat @ flat.transpose(1, 2)
+        Jr[:, index] += torch.einsum("bnm,bm->bn", flat, r)
 
 
 def descend(

@@ -249,10 +249,10 @@ def _turns() -> FloatArray:
 
 
 def _neighbours(support: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Index (P, V) of the pixel a step before each, and after it; -1 outside the support."""
+    """Index (P, V) of the pixel a step before each, and after it; P outside the support."""
     reach = _LONGEST_STEP_PX
-    index = np.full([n + 2 * reach for n in support.shape], -1)
     rows, columns = np.nonzero(support)
+    index = np.full([n + 2 * reach for n in support.shape], len(rows))
     index[rows + reach, columns + reach] = np.arange(len(rows))
     x, y = _steps().T
     rows, columns = rows[:, None] + reach, columns[:, None] + reach
@@ -261,7 +261,9 @@ def _neighbours(support: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[n
 
 def _gathered(values: FloatArray, index: NDArray[np.intp]) -> FloatArray:
     """Values (P, V) of each pixel's neighbour by the same step, 0 outside the support."""
-    return np.where(index >= 0, np.take_along_axis(values, np.maximum(index, 0), axis=0), 0.0)
+    steps = values.shape[1]
+    padded = np.append(values, np.zeros((1, steps)))
+    return np.asarray(padded[index * steps + np.arange(steps)])
 
 
 def _told(bits: FloatArray, light: FloatArray) -> tuple[FloatArray, FloatArray]:

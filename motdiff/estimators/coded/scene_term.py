@@ -14,7 +14,7 @@ from scipy import fft, ndimage
 from torch import Tensor
 
 from motdiff.estimators.coded.misfit import Unknowns
-from motdiff.estimators.coded.otfs import CodedOtfs
+from motdiff.estimators.coded.otfs import CodedOtfs, GridOtfs
 from motdiff.types import FloatArray
 
 _SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
@@ -26,21 +26,27 @@ _ONLY_NOISE_CY_PX = 0.5
 _LEAST_LIGHT = 1e-4
 _LEAST_PRODUCT = 0.02
 _LEAST_NOISE = 1e-3  # of full scale: 8 bits round by that, and files that were smoothed show less
+_AT_ONCE = 8  # candidates, as many as fit the cache
+_SLOWEST_CY_PX = 1 / 64  # slower light is taken away
+# the curvature is summed over so many frequencies, drawn once, for each value that a step changes
+_FREQUENCIES_PER_UNKNOWN = 16
 
 
 @dataclass(frozen=True)
 class SceneSpectra:
-    """Photos of one scene as spectra on a coarse grid.
+    """Photos of one scene as half-plane spectra on a coarse grid.
 
     Attributes
     ----------
     side_px, grid : int
         Side N of the photos, and of the grid, n: frequencies below n / (2 N) cycles/px are kept.
-    index : (F,) int
-        Of the frequencies in the grid's half-plane spectrum, flat.
-    f : (F, 2) float, cycles/px
-    photos : (I, F) complex
-    power : (F,) float
+    fy, fx : (n,) and (n // 2 + 1,) float, cycles/px
+        Frequencies of the grid's rows and columns.
+    mask : (n, n // 2 + 1) bool
+        One of each conjugate pair, without the slow frequencies and those beyond the grid's.
+    photos : (I, n, n // 2 + 1) complex
+        0 outside the mask.
+    power : (n, n // 2 + 1) float
         Mean power of the windowed photos around each frequency.
     noise : float
         Power of the noise alone.
@@ -50,26 +56,28 @@ class SceneSpectra:
 
     side_px: int
     grid: int
-    index: Tensor
-    f: Tensor
+    fy: Tensor
+    fx: Tensor
+    mask: Tensor
     photos: Tensor
     power: Tensor
     noise: float
     window: Tensor
 
+    @property
+    def f(self) -> Tensor:
+        """Frequencies (F, 2) of the mask: right and down, cycles/px."""
+        rows, columns = torch.nonzero(self.mask, as_tuple=True)
+        return torch.stack([self.fx[columns], self.fy[rows]], 1)
+
     def windowed(self, spectra: Tensor) -> Tensor:
-        """Spectra (..., F) of images multiplied by the window."""
-        windowed: Tensor = torch.fft.rfft2(self.window * self.images(spectra)).flatten(-2)
-        return windowed[..., self.index]
+        """Spectra (..., n, n // 2 + 1) of images multiplied by the window."""
+        windowed: Tensor = torch.fft.rfft2(self.window * self.images(spectra))
+        return windowed
 
     def images(self, spectra: Tensor) -> Tensor:
-        """Images (..., n, n) of spectra (..., F)."""
-        half_plane = torch.zeros(
-            *spectra.shape[:-1], self.grid * (self.grid // 2 + 1), dtype=torch.complex64
-        )
-        half_plane[..., self.index] = spectra
-        shaped = half_plane.reshape(*spectra.shape[:-1], self.grid, self.grid // 2 + 1)
-        images: Tensor = torch.fft.irfft2(shaped, s=(self.grid, self.grid))
+        """Images (..., n, n) of spectra (..., n, n // 2 + 1)."""
+        images: Tensor = torch.fft.irfft2(spectra, s=(self.grid, self.grid))
         return images
 
 
@@ -99,25 +107,26 @@ def scene_spectra(
     corner_power = float(powers[:, radius > _ONLY_NOISE_CY_PX].mean())
     noise = max(corner_power, _LEAST_NOISE**2 * float((window**2).sum()))
     mirrored = np.concatenate([powers[..., :0:-1], powers], axis=-1).mean(axis=0)
-    power = ndimage.gaussian_filter(mirrored, 4)[:, side // 2 :]
+    mean_power = ndimage.gaussian_filter(mirrored, 4)[:, side // 2 :]
 
     def on(grid: int) -> SceneSpectra:
-        fy = (np.fft.fftfreq(grid) * grid / side)[:, None]
-        fx = (np.fft.rfftfreq(grid) * grid / side)[None]
-        radius = np.hypot(fy, fx)
-        # one of each conjugate pair, without the slow frequencies that the filter took away
-        mask = (radius < 0.48 * grid / side) & (radius > 1 / 64) & ~((fx == 0) & (fy < 0))
-        rows, columns = np.nonzero(mask)
-        rows_of_photo = np.where(rows > grid // 2, rows - grid + side, rows)
+        fy = np.fft.fftfreq(grid) * grid / side
+        fx = np.fft.rfftfreq(grid) * grid / side
+        radius = np.hypot(fy[:, None], fx)
+        mask = (radius < 0.48 * grid / side) & (radius > _SLOWEST_CY_PX)
+        mask &= (fx > 0) | (fy[:, None] > 0)
+        rows = np.arange(grid)
+        rows = np.where(rows > grid // 2, rows - grid + side, rows)[:, None]
+        columns = np.arange(grid // 2 + 1)
         share = (grid / side) ** 2
-        f = np.stack([np.broadcast_to(f, mask.shape)[mask] for f in (fx, fy)], axis=1)
         return SceneSpectra(
             side_px=side,
             grid=grid,
-            index=torch.tensor(np.flatnonzero(mask.ravel())),
-            f=torch.tensor(f, dtype=torch.float32),
-            photos=torch.tensor(spectra[:, rows_of_photo, columns] * share, dtype=torch.complex64),
-            power=torch.tensor(power[rows_of_photo, columns] * share**2, dtype=torch.float32),
+            fy=torch.tensor(fy, dtype=torch.float32),
+            fx=torch.tensor(fx, dtype=torch.float32),
+            mask=torch.tensor(mask),
+            photos=torch.tensor(mask * spectra[:, rows, columns] * share, dtype=torch.complex64),
+            power=torch.tensor(mean_power[rows, columns] * share**2, dtype=torch.float32),
             noise=noise * share**2,
             window=torch.tensor(_window(side, grid, margin_px), dtype=torch.float32),
         )
@@ -152,83 +161,118 @@ class SceneTerm:
         self.spectra = spectra
         self._open = torch.tensor(otfs.open_share, dtype=torch.float32)
         self._pairs = list(combinations(range(unknowns.exposures), 2))
-        self._stands_for = 1 + (spectra.f[:, 0] != 0).float()
         self._window_rms = float(spectra.window.square().mean().sqrt())
-        phase_error = (2 * pi * path_error_px * spectra.f.norm(dim=1)).clamp(max=1)
+        radius = torch.hypot(spectra.fy[:, None], spectra.fx)
+        phase_error = (2 * pi * path_error_px * radius).clamp(max=1)
         self._variance = spectra.noise + phase_error**2 * spectra.power
-        self.values = len(spectra.f) * (unknowns.exposures - 1)
+        # a half-plane spectrum stands for two frequencies, but where f_x is 0
+        self._stands_for = 1 + (spectra.fx != 0).float()
+        f = spectra.f
+        self.values = len(f) * (unknowns.exposures - 1)
         """Number of squares that are summed: the expected cost of the true path."""
+        index = torch.nonzero(spectra.mask.flatten()).squeeze(1)
+        slopes = (_power(spectra.photos).sum(0) * radius**2 / self._variance).flatten()[index]
+        count = _FREQUENCIES_PER_UNKNOWN * unknowns.kernel_shift(0) / (unknowns.exposures - 1)
+        # in proportion to what they tell; half for all alike, so that none counts for many
+        chance = (0.5 * count / len(f) * (1 + slopes / slopes.mean())).clamp(max=1).numpy()
+        sample = _sampled(chance, np.random.default_rng(0))
+        self._sample_f = f[sample]
+        self._sample = index[sample]
+        self._sample_chance = torch.tensor(chance[sample], dtype=torch.float32)
 
     def cost(self, x: Tensor) -> Tensor:
         """See :class:`motdiff.estimators.coded.misfit.Term`."""
+        return torch.cat([self._cost(chunk) for chunk in torch.split(x, _AT_ONCE)])
+
+    def _cost(self, x: Tensor) -> Tensor:
+        H = self._on_grid(x).H * self._light(x)[..., None, None]
+        squares = _power(self.spectra.windowed(self._products(H))).sum(1)
+        return (squares * self._weight(H)).sum((1, 2))
+
+    def _on_grid(self, x: Tensor) -> GridOtfs:
         un = self._unknowns
-        costs = []
-        for chunk in torch.split(x, 8):  # as many as fit the cache
-            otfs = self._otfs.otfs(un.paths(chunk), un.shifts(chunk), self.spectra.f)
-            H = otfs * (un.gains(chunk) * self._open)[..., None]
-            squares = self.spectra.windowed(self._products(H)).abs().square().sum(1)
-            costs.append((squares / (self._power(H) * self._variance)).sum(1))
-        return torch.cat(costs)
+        return self._otfs.on_grid(un.paths(x), un.shifts(x), self.spectra.fy, self.spectra.fx)
+
+    def _light(self, x: Tensor) -> Tensor:
+        """Factors (B, I) of the OTFs, which are 1 at zero frequency."""
+        return self._unknowns.gains(x) * self._open
 
     def _products(self, H: Tensor) -> Tensor:
-        """``B_a H_b - B_b H_a`` (B, pairs, F) of OTFs (B, I, F)."""
+        """``B_a H_b - B_b H_a`` (B, pairs, R, C) of OTFs (B, I, R, C)."""
         B = self.spectra.photos
         return torch.stack([B[a] * H[:, b] - B[b] * H[:, a] for a, b in self._pairs], 1)
+
+    def _weight(self, H: Tensor) -> Tensor:
+        """Inverse variance (B, R, C) of the products; 0 outside the mask."""
+        return self.spectra.mask / ((_power(H).sum(1) + _LEAST_LIGHT) * self._variance)
 
     def add_normal(self, x: Tensor, JJ: Tensor, Jr: Tensor) -> None:
         """See :class:`motdiff.estimators.coded.misfit.Term`.
 
-        ``J^T r`` is exact. In ``J^T J`` the window is its rms value: to window each row of J would
-        make a step half as long again.
+        ``J^T r`` is exact. In ``J^T J`` the window is its rms value, and a sample of the
+        frequencies stands for all: it only shapes the step.
         """
-        for i in range(len(x)):
-            J, dpower, residual, weight = self._derivatives(x[i : i + 1])
-            n = len(J)
-            r = residual * weight
-            # the window's transpose is applied to the residual, instead of the window to J; a
-            # half-plane spectrum stands for two frequencies, but where f_x is 0
-            back = _flat(self.spectra.windowed(r * weight / self._stands_for) * self._stands_for)
-            Jr[i, :n] += _flat(J) @ back
-            # the weight, too, depends on the path: without this the noise would pull it off
-            Jr[i, :n] -= 0.5 * dpower @ r.abs().square().sum(0)
-            J_windowed = _flat((self._window_rms * J - 0.5 * residual * dpower[:, None]) * weight)
-            JJ[i, :n, :n] += J_windowed @ J_windowed.T
+        for chunk, chunk_JJ, chunk_Jr in zip(
+            *(torch.split(values, _AT_ONCE) for values in (x, JJ, Jr)), strict=True
+        ):
+            self._add_normal(chunk, chunk_JJ, chunk_Jr)
 
-    def _derivatives(self, x: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return what a candidate (1, N) changes with its parameters.
-
-        Returns
-        -------
-        (parameters, pairs, F) of the products, not windowed; (parameters, F) of the power,
-        relative; the products (pairs, F), windowed; their weight (F,)
-        """
+    def _add_normal(self, x: Tensor, JJ: Tensor, Jr: Tensor) -> None:
         un = self._unknowns
         B = self.spectra.photos
-        end = 2 * self._unknowns.knots
-        phase = 2 * pi * self.spectra.f
-        otfs, slopes = self._otfs.with_slopes(un.paths(x), un.shifts(x), self.spectra.f)
-        light = (un.gains(x) * self._open)[0, :, None]
-        H = otfs[0] * light
-        dH = slopes[0] * light[..., None]
-        power = self._power(H[None])[0]
-        J = torch.zeros(un.kernel_shift(0), len(self._pairs), len(phase), dtype=torch.complex64)
-        dpower = torch.zeros(len(J), len(phase))
-        by_knot = 2 * (H.conj()[..., None] * dH).real.sum(0) / power[:, None]
-        for axis in (0, 1):
-            dpower[axis:end:2] = (by_knot * phase[:, axis, None]).T
+        light = self._light(x)[..., None, None]
+        grid = self._on_grid(x)
+        H = grid.H * light
+        r = self.spectra.windowed(self._products(H))
+        weight = self._weight(H)
+        # the window's transpose is applied to the residual, instead of the window to J
+        weighted = r * (weight / self._stands_for)[:, None]
+        back = self.spectra.windowed(weighted) * self._stands_for
+        # the weight, too, depends on the path: without this the noise would pull it off
+        by_power = _power(r).sum(1) * weight**2 * self._variance
+        by_H = -by_power[:, None] * H
         for m, (a, b) in enumerate(self._pairs):
-            change = B[a][:, None] * dH[b] - B[b][:, None] * dH[a]
+            by_H[:, b] += B[a].conj() * back[:, m]
+            by_H[:, a] -= B[b].conj() * back[:, m]
+        paths, shifts = grid.slopes(by_H * light)
+        Jr[:, : un.shift(1)] += paths.flatten(1)
+        Jr[:, un.shift(1) : un.gain(1)] += shifts[:, 1:].flatten(1)
+        Jr[:, un.gain(1) : un.kernel_shift(0)] += (by_H.conj() * H).real.sum((2, 3))[:, 1:]
+        self._add_curvature(x, r.flatten(2)[..., self._sample], JJ)
+
+    def _add_curvature(self, x: Tensor, residual: Tensor, JJ: Tensor) -> None:
+        """Add ``J^T J``; the residual (B, pairs, F) is that of the sample's frequencies."""
+        un = self._unknowns
+        B = self.spectra.photos.flatten(1)[:, self._sample]
+        phase = 2 * pi * self._sample_f.T
+        end = 2 * un.knots
+        size = un.kernel_shift(0)
+        otfs, slopes = self._otfs.with_slopes(un.paths(x), un.shifts(x), self._sample_f)
+        light = self._light(x)[..., None]
+        H = otfs * light
+        dH = slopes * light[..., None]
+        total = _power(H).sum(1) + _LEAST_LIGHT
+        weight = (self._sample_chance * total * self._variance.flatten()[self._sample]).rsqrt()
+        windowed = (self._window_rms * weight)[:, None]
+        # what the power changes, times half of the residual
+        by_power = -0.5 * residual * weight[:, None] / total[:, None]
+        dpower = 2 * (H.conj()[:, :, None] * dH).real.sum(1)
+        J = torch.zeros(len(x), size, len(self._pairs), phase.shape[1], dtype=torch.complex64)
+        for m, (a, b) in enumerate(self._pairs):
+            change = (windowed * B[a]) * dH[:, b] - (windowed * B[b]) * dH[:, a]
+            change += by_power[:, m, None] * dpower
             for axis in (0, 1):
-                J[axis:end:2, m] = (change * phase[:, axis, None]).T
-            for photo, product in ((a, -B[b] * H[a]), (b, B[a] * H[b])):
+                torch.mul(change, phase[axis], out=J[:, axis:end:2, m])
+            for photo, product in ((a, -B[b] * H[:, a]), (b, B[a] * H[:, b])):
                 if photo:
-                    J[un.gain(photo), m] = product
+                    product = product * windowed[:, 0]
+                    J[:, un.gain(photo), m] = product
                     for axis in (0, 1):
-                        J[un.shift(photo) + axis, m] = -1j * phase[:, axis] * product
-        for photo in range(1, un.exposures):
-            dpower[un.gain(photo)] = 2 * H[photo].abs().square() / power
-        residual = self.spectra.windowed(self._products(H[None])[0])
-        return J, dpower, residual, (power * self._variance).rsqrt()
+                        J[:, un.shift(photo) + axis, m] = -1j * phase[axis] * product
+            for photo in range(1, un.exposures):
+                J[:, un.gain(photo), m] += 2 * by_power[:, m] * _power(H[:, photo])
+        flat = torch.view_as_real(J).flatten(2)
+        JJ[:, :size, :size] += flat @ flat.transpose(1, 2)
 
     def registered(self, x: Tensor) -> Tensor:
         """Candidates with the photos' shifts by correlation."""
@@ -237,7 +281,7 @@ class SceneTerm:
         step_px = self.spectra.side_px / self.spectra.grid
         x = x.clone()
         x[:, un.shift(1) : un.gain(1)] = 0
-        H = self._otfs.otfs(un.paths(x), un.shifts(x), self.spectra.f)
+        H = torch.cat([self._on_grid(chunk).H for chunk in torch.split(x, _AT_ONCE)])
         for photo in range(1, un.exposures):
             cross = B[photo] * H[:, 0] * (B[0] * H[:, photo]).conj()
             cross = cross / ((H[:, 0] * H[:, photo]).abs() + _LEAST_PRODUCT)
@@ -248,14 +292,17 @@ class SceneTerm:
                 row[at + 1] = dy * step_px
         return x
 
-    @staticmethod
-    def _power(H: Tensor) -> Tensor:
-        return H.abs().square().sum(1) + _LEAST_LIGHT
+
+def _sampled(chance: FloatArray, rng: np.random.Generator) -> NDArray[np.intp]:
+    """Draw indices with these chances, as many as their sum: systematic sampling."""
+    order = rng.permutation(len(chance))
+    steps = np.floor(np.cumsum(chance[order]) + rng.random())
+    return np.sort(order[np.diff(steps, prepend=0) > 0])
 
 
-def _flat(values: Tensor) -> Tensor:
-    """Real and imaginary parts of the last two axes (pairs, F), as one axis."""
-    return torch.view_as_real(values).flatten(-3)
+def _power(values: Tensor) -> Tensor:
+    """Squared modulus: ``abs().square()`` takes a root on the way."""
+    return values.real**2 + values.imag**2
 
 
 def _window(side: int, grid: int, margin_px: int) -> FloatArray:

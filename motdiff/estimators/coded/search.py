@@ -309,11 +309,10 @@ class _WideSearch(PhotoFit):
         stretch of another path taken, or one drawn anew between its ends.
         """
         rng = self.rng
-        walks = _usual_walks(rng, self.knots, _CHILDREN)
         chance = np.exp(-0.3 * np.arange(len(paths)))
-        parents = rng.choice(len(paths), len(walks), p=chance / chance.sum())
+        parents = rng.choice(len(paths), _CHILDREN, p=chance / chance.sum())
         children = []
-        for path, walk in zip(paths[parents], walks, strict=True):
+        for path in paths[parents]:
             kind = rng.random()
             child = None
             if kind < _REROUTED:
@@ -322,7 +321,9 @@ class _WideSearch(PhotoFit):
                 child = loop_reversals(path, count=1, rng=rng)[0]
             elif kind < _REROUTED + _TURNED + _CROSSED:
                 child = crossed(path, paths[rng.integers(len(paths))], rng=rng)
-            children.append(bridged(path, walk, rng=rng) if child is None else child)
+            if child is None:
+                child = bridged(path, _usual_walks(rng, self.knots, 1)[0], rng=rng)
+            children.append(child)
         return np.stack(children)
 
 
