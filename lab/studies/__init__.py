@@ -1,1 +1,1 @@
-"""Measurements of speed and quality, one script each."""
+"""Measurements of speed and quality, a script each; README.md lists them with their records."""

@@ -14,8 +14,6 @@ Markdown.
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -24,7 +22,7 @@ import numpy as np
 import torch
 
 from lab.bench.statistics import mean_interval
-from lab.studies.inputs import kept_rows
+from lab.studies.inputs import add_row, finished_rows, study_parser
 from motdiff.training.config import DataConfig, TrainingConfig, read_config
 from motdiff.training.run import Pace, make_sources, train, validation_scores
 
@@ -95,7 +93,7 @@ def measured(config: TrainingConfig, folder: Path) -> np.ndarray:
 
 def read_rows(file: Path, *, samples: int) -> Scores:
     """Read the finished rows of a budget."""
-    rows = [row for row in kept_rows(file) if row["samples"] == samples] if file.exists() else []
+    rows = [row for row in finished_rows(file) if row["samples"] == samples]
     return {(row["seed"], row["row"]): np.array(row["mnc"]) for row in rows}
 
 
@@ -117,9 +115,7 @@ def table(scores: Scores) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument(
         "data",
         nargs="*",
@@ -154,8 +150,7 @@ def main() -> None:
                 "samples": options.samples,
                 "mnc": scores.round(5).tolist(),
             }
-            with file.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(line) + "\n")
+            add_row(file, line)
     print("\n".join(table(measurements)))
 
 

@@ -9,7 +9,6 @@ others any number.
 
 from __future__ import annotations
 
-import argparse
 import time
 
 import numpy as np
@@ -19,6 +18,7 @@ from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.anneal import SearchResult, anneal
 from cep.search.optima import proven_optimum
 from cep.search.problem import SearchProblem
+from lab.studies.inputs import study_parser
 
 CHIPS = (40, 41, 42, 43, 44, 45, 46, 47, 48, 52)
 
@@ -38,9 +38,7 @@ def annealed(problem: SearchProblem, seconds: float, seed: int) -> SearchResult:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--chips", type=int, nargs="+", default=CHIPS)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0])
     parser.add_argument("--seconds", type=float, default=60.0)

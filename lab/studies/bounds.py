@@ -10,7 +10,6 @@ seconds, one core.
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import replace
 
@@ -21,6 +20,7 @@ from cep.search.bounds import bound
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from lab.relaxed_bounds.dual_proofs import relaxed_bound
+from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -73,7 +73,7 @@ def row(name: str, problem: SearchProblem, seconds: float, *, noise: bool) -> No
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = study_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=5.0)
     parser.add_argument(
         "--skip-curve-noise",

@@ -5,7 +5,6 @@ Run with ``python -m lab.studies.calibration_set separation`` or ``... blind``.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 
 import numpy as np
@@ -23,7 +22,7 @@ from cep.codes.published import published
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.search.limits import Limits
-from lab.studies.inputs import photos
+from lab.studies.inputs import photos, study_parser
 from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.motions import boracchi_foi
 from motdiff.types import FloatArray
@@ -131,6 +130,6 @@ def _error(psf: FloatArray, kernel_estimate: FloatArray, grid_px: int = 240) -> 
 STUDIES = {"separation": separation, "blind": blind}
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = study_parser(__doc__)
     parser.add_argument("study", choices=STUDIES, help="what is measured")
     STUDIES[parser.parse_args().study]()

@@ -11,7 +11,6 @@ shipped Uno firmware's flashes of 50 us. The light differs by 0.3 % from flash t
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ from cep.shutter.exposure_fit import ExposureTiming
 from cep.shutter.exposure_sweep import Exposed, ExposureSweep, Flash, flash_program
 from cep.shutter.timing import time_camera
 from hw.cxp.protocol import Hello, ResetCause
+from lab.studies.inputs import study_parser
 
 UNO = Hello(
     version=1,
@@ -110,7 +110,7 @@ def on_twin(camera: SimulatedCamera, seed: int) -> ExposureTiming:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = study_parser(__doc__)
     parser.add_argument("--cameras", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--twin", action="store_true")

@@ -10,7 +10,6 @@ full scale. PSNR is in linear light cut to 0..1, 20 px from the border.
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 
 import cv2
@@ -19,6 +18,7 @@ from skimage import data
 
 from cep.restoration.clipping import fill_clipped
 from cep.restoration.registry import METHODS
+from lab.studies.inputs import study_parser
 from motdiff.crops import clipped_mask, luminance
 from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.metrics import mnc_subpixel, psnr
@@ -53,9 +53,7 @@ def with_lights(scene: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def main() -> None:
-    argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    ).parse_args()
+    study_parser(__doc__).parse_args()
     scores: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     likeness: dict[str, list[tuple[float, float]]] = defaultdict(list)
     for number, name in enumerate((*SCENES, "page")):

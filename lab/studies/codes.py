@@ -11,7 +11,6 @@ log10 duty.
 
 from __future__ import annotations
 
-import argparse
 import time
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import chip_minimum
 from cep.proofs.measure import measure
 from cep.proofs.verify import verify
+from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -211,7 +211,7 @@ def curved(seconds: float, motions: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = study_parser(__doc__)
     parser.add_argument("--seconds", type=float, default=40.0)
     parser.add_argument("--curved-seconds", type=float, default=10.0)
     parser.add_argument("--motions", type=int, default=8)

@@ -11,7 +11,6 @@ shift, in linear light, away from the borders.
 
 from __future__ import annotations
 
-import argparse
 from functools import partial
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from cep.restoration.sharpen import restore_chosen
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
 from lab.photo_gains.photographs import load_scenes
+from lab.studies.inputs import study_parser
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.motions import boracchi_foi, with_smooth_error
 from motdiff.threads import side_by_side
@@ -46,9 +46,7 @@ METHODS = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=6)
     arguments = parser.parse_args()

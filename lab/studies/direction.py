@@ -9,7 +9,6 @@ light); the tested path is off by `--jitter`.
 
 from __future__ import annotations
 
-import argparse
 import time
 
 import numpy as np
@@ -20,6 +19,7 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.direction import compare_psfs
+from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
@@ -67,9 +67,7 @@ def jittered(path: Trajectory, amount_px: float, rng: np.random.Generator) -> Tr
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--photos", type=int, default=60)
     parser.add_argument("--jitter", type=float, default=0.0)
     parser.add_argument("--seed", type=int, default=0)

@@ -14,7 +14,6 @@ direction, dB of the expected error along the true one.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +22,7 @@ import torch
 from cep.optics.code import ShutterCode
 from cep.search.problem import SearchProblem
 from cep.search.search import Search, search
-from lab.studies.inputs import photos, smooth_trace
+from lab.studies.inputs import photos, smooth_trace, study_parser
 from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import quick_search
 from motdiff.estimators.pmp.estimator import refined
@@ -96,9 +95,7 @@ def error_db(path: Trajectory, code: ShutterCode) -> float:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--photos", type=Path)
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0)

@@ -9,12 +9,12 @@ compiling done before.
 
 from __future__ import annotations
 
-import argparse
 import time
 
 from cep.search.exhaustive.exact import ExactResult, exact
 from cep.search.problem import SearchProblem
 from lab.block_proofs.blocks import judge_block, plan_blocks
+from lab.studies.inputs import study_parser
 
 
 def timed(problem: SearchProblem, threads: int) -> tuple[ExactResult, float]:
@@ -94,9 +94,7 @@ def compare(chips: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument(
         "--most", type=int, default=36, help="chips of the last row, free open count"
     )

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cep.calibration.calibrate import estimate_motion
-from lab.studies.inputs import photos
+from lab.studies.inputs import photos, study_parser
 from motdiff.crops import luminance, pick_crops
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi
@@ -104,9 +104,7 @@ def figures_of(options: argparse.Namespace, index: int, noise: float) -> Row:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--method", default="motdiff", choices=("motdiff", "pmp"))
     parser.add_argument("--count", type=int, default=8, help="motions")
     parser.add_argument("--photos", type=int, default=3, help="of each motion")

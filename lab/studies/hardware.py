@@ -9,7 +9,6 @@ count its cycles.
 
 from __future__ import annotations
 
-import argparse
 import random
 import statistics
 import time
@@ -18,6 +17,7 @@ from hw.cxp.protocol import State
 from hw.drivers.cxp import Controller
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno, EmulationError, build_board
 from hw.program import Program
+from lab.studies.inputs import study_parser
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 CYCLE_NS = 1e9 / CLOCK_HZ
@@ -75,7 +75,7 @@ def edge_errors(codes: int) -> tuple[list[int], int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = study_parser(__doc__)
     parser.add_argument("--loads", type=int, default=200)
     parser.add_argument("--triggers", type=int, default=400)
     parser.add_argument("--codes", type=int, default=60)

@@ -1,16 +1,18 @@
-"""What the benchmarks share: photos (a folder, or scikit-image's own), a gyroscope trace, results
-of an ended run.
+"""What the studies share: their help, photos (a folder, or scikit-image's own), a gyroscope trace,
+and rows of results, which outlive a run that ends early.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from lab.bench.blind.protocol import synthetic_trace
 from motdiff.gyro import GyroTrace
 from motdiff.simulate import to_linear
 from motdiff.types import FloatArray
@@ -37,12 +39,8 @@ def photos(folder: Path | None) -> list[tuple[str, FloatArray]]:
 
 
 def smooth_trace(rng: np.random.Generator, *, duration_s: float, rate_hz: float) -> GyroTrace:
-    """Hand-like angular rates: band-limited noise, 1 to 12 Hz, about 0.1 rad/s."""
-    count = round(duration_s * rate_hz)
-    freq_hz = np.fft.rfftfreq(count, 1 / rate_hz)
-    spectrum = rng.standard_normal((2, 3, freq_hz.size)) * np.exp(-freq_hz / 4) * (freq_hz > 0.5)
-    rate = np.fft.irfft(spectrum[0] + 1j * spectrum[1], count, axis=1).T
-    return GyroTrace(np.arange(count) / rate_hz, 0.1 * rate / rate.std(axis=0))
+    """Synthetic hand shake, for studies without a recording."""
+    return synthetic_trace(rng, duration_s=duration_s, rate_hz=rate_hz)
 
 
 def kept_rows(file: Path) -> Iterator[dict[str, Any]]:
@@ -53,3 +51,21 @@ def kept_rows(file: Path) -> Iterator[dict[str, Any]]:
         except json.JSONDecodeError:
             continue
         yield row
+
+
+def finished_rows(file: Path) -> list[dict[str, Any]]:
+    """Rows of the file that a run goes on with; none where it is new."""
+    return list(kept_rows(file)) if file.exists() else []
+
+
+def add_row(file: Path, row: Mapping[str, Any]) -> None:
+    """Append a row to a file of JSON lines, which :func:`kept_rows` reads."""
+    with file.open("a", encoding="utf-8") as stream:
+        stream.write(json.dumps(row) + "\n")
+
+
+def study_parser(documentation: str | None) -> argparse.ArgumentParser:
+    """Parser of a study, whose help is the text at the top of its file."""
+    return argparse.ArgumentParser(
+        description=documentation, formatter_class=argparse.RawDescriptionHelpFormatter
+    )

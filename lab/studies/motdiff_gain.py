@@ -17,8 +17,6 @@ where it stopped.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
@@ -35,7 +33,7 @@ from lab.bench.blind.run import blind_plan
 from lab.bench.statistics import mean_interval
 from lab.evaluation.draws import measure_draws
 from lab.evaluation.sets import levin_photo
-from lab.studies.inputs import kept_rows
+from lab.studies.inputs import add_row, kept_rows, study_parser
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
 from motdiff.estimators.kernel_score import distinct, rank_kernels
@@ -302,8 +300,7 @@ def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
             row = row_of(photo, missing, shared)
             if draws_missing:
                 row |= drawn(network, correction, photo, draws, number)
-            with file.open("a", encoding="utf-8") as stream:
-                stream.write(json.dumps(row) + "\n")
+            add_row(file, row)
 
 
 def read_rows(files: Iterable[Path]) -> list[dict]:
@@ -391,9 +388,7 @@ def table(rows: list[dict]) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("what", choices=["rows", "table"], nargs="?")
     parser.add_argument("files", type=Path, nargs="*")
     parser.add_argument("--prepared", type=Path, metavar="CONFIG")

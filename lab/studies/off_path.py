@@ -11,7 +11,6 @@ less the same objective alone, 95 % interval.
 
 from __future__ import annotations
 
-import argparse
 import time
 
 import numpy as np
@@ -26,6 +25,7 @@ from cep.search.annealing.anneal import anneal
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from lab.class_code.motions import draw_motions
+from lab.studies.inputs import study_parser
 from motdiff.trajectory import Trajectory
 
 ROWS = ("noise", "noise x8", "mse", "mse x8")
@@ -102,9 +102,7 @@ def figures(
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--walks", type=int, default=16)
     parser.add_argument(
         "--errors", type=float, nargs="+", default=[0.0, 0.1, 0.25, 0.5, 1.0], metavar="PX"

@@ -11,7 +11,6 @@ what the own code gains over the other, dB; last means over the photos with thei
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict
 from lab.photo_gains.__main__ import motions
 from lab.photo_gains.photographs import load_scenes
+from lab.studies.inputs import study_parser
 
 LIGHT = ((10.0, 3_000.0), (50.0, 10_000.0))
 CHIPS = 32
@@ -32,9 +32,7 @@ SIDE_PX = 480
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=18)
     arguments = parser.parse_args()

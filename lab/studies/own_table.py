@@ -10,8 +10,6 @@ outside the limits as well, such as a snapshot with fewer open chips.
 
 from __future__ import annotations
 
-import argparse
-
 import numpy as np
 
 from cep.optics.camera import Camera
@@ -19,6 +17,7 @@ from cep.search.objective import Objective
 from cep.search.objectives import OBJECTIVES
 from cep.search.problem import SearchProblem, open_range_of_duty
 from cep.search.search import Search, search
+from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -49,9 +48,7 @@ def random_problem(rng: np.random.Generator) -> SearchProblem:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--problems", type=int, default=14)
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)

@@ -11,7 +11,6 @@ The figures are by kind of motion. An interrupted bench goes on where it stopped
 
 from __future__ import annotations
 
-import argparse
 import math
 from copy import deepcopy
 from dataclasses import replace
@@ -20,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from lab.studies.inputs import study_parser
 from motdiff.metrics import mnc
 from motdiff.network import MotDiffNetwork
 from motdiff.network.sampling import psfs_of_maps, sample_paths
@@ -118,9 +118,7 @@ def measured(trainer: Trainer, batches: list[Batch]) -> tuple[float, np.ndarray]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("config", nargs="?", help="TOML file of a run with prepared samples")
     parser.add_argument("--runs", type=Path, default=Path("photo_encoder"))
     parser.add_argument("--updates", type=int, default=128)

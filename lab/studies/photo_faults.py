@@ -12,8 +12,6 @@ stopped.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,7 +20,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from lab.studies.inputs import kept_rows, photos
+from lab.studies.inputs import add_row, finished_rows, kept_rows, photos, study_parser
 from lab.studies.photo_path import KINDS, drawn_motion
 from motdiff.crops import clipped_mask, luminance
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
@@ -158,9 +156,7 @@ def table(rows: list[dict]) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("file", type=Path, nargs="?")
     parser.add_argument("--photos", type=Path, nargs="+")
     parser.add_argument("--gyro", type=Path)
@@ -170,14 +166,13 @@ def main() -> None:
     if options.file is None or options.photos is None or options.gyro is None:
         print("skipped: it needs photos and a recording, see --help")
         return
-    finished = {row["name"] for row in kept_rows(options.file)} if options.file.exists() else set()
+    finished = {row["name"] for row in finished_rows(options.file)}
     estimator = MotDiffEstimator()
     trace = read_gyro(options.gyro)
     with one_thread():
         for photo in faulty_photos(options.photos, trace, count=options.count, seed=options.seed):
             if photo.name not in finished:
-                with options.file.open("a", encoding="utf-8") as stream:
-                    stream.write(json.dumps(figures(photo, estimator)) + "\n")
+                add_row(options.file, figures(photo, estimator))
     print("\n".join(table(list(kept_rows(options.file)))))
 
 

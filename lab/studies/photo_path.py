@@ -14,8 +14,6 @@ the stated confidences, and seconds. One thread; an interrupted run goes on wher
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -23,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lab.studies.inputs import kept_rows, photos
+from lab.studies.inputs import add_row, finished_rows, kept_rows, photos, study_parser
 from motdiff.crops import luminance
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
 from motdiff.files.gyro_tables import read_gyro
@@ -147,9 +145,7 @@ def table(rows: list[dict]) -> Iterator[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("what", choices=["rows", "table"], nargs="?")
     parser.add_argument("files", type=Path, nargs="*")
     parser.add_argument("--photos", type=Path, nargs="+")
@@ -167,7 +163,7 @@ def main() -> None:
     if len(options.files) != 1 or options.photos is None or options.gyro is None:
         parser.error("rows: give one FILE, --photos and --gyro")
     (file,) = options.files
-    finished = {row["name"] for row in kept_rows(file)} if file.exists() else set()
+    finished = {row["name"] for row in finished_rows(file)}
     estimator = MotDiffEstimator()
     simulated = shots(
         options.photos,
@@ -179,8 +175,7 @@ def main() -> None:
     with one_thread():
         for shot in simulated:
             if shot.name not in finished:
-                with file.open("a", encoding="utf-8") as stream:
-                    stream.write(json.dumps(figures(shot, estimator)) + "\n")
+                add_row(file, figures(shot, estimator))
 
 
 if __name__ == "__main__":

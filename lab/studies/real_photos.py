@@ -18,7 +18,6 @@ Two figures need no sharp photo, and neither takes part in the program's choices
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -37,6 +36,7 @@ from cep.restoration.restore import restore
 from cep.restoration.result import Restoration
 from cep.restoration.sharpen import sharpen
 from cep.restoration.tv import gradient_sparsity
+from lab.studies.inputs import study_parser
 from motdiff.crops import luminance
 from motdiff.photo_noise import noise_sigma
 from motdiff.types import FloatArray
@@ -152,9 +152,7 @@ def sheet(restored_cases: list[Case], file: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("photos", type=Path, nargs="*", help="photos, or folders of them")
     parser.add_argument("-o", "--output", type=Path, default=Path("real_photos"))
     parser.add_argument("--anyway", action="store_true", help="restore kept photos all the same")

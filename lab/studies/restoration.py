@@ -10,7 +10,6 @@ alike (MNC).
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import defaultdict
 from pathlib import Path
@@ -25,6 +24,7 @@ from cep.restoration.registry import METHODS
 from lab.bench.coded.protocol import coded_protocol, drawn_motions
 from lab.bench.datasets import crop, photo_folder, pick
 from lab.bench.statistics import mean_interval
+from lab.studies.inputs import study_parser
 from motdiff.crops import luminance
 from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
 from motdiff.psf_frame import PSF_PX
@@ -68,9 +68,7 @@ def alike(path: Trajectory, rng: np.random.Generator) -> Trajectory:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--turns", type=int, default=2, help="motions per photo, 1 to 3")

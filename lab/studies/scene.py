@@ -10,7 +10,6 @@ how much of the variance between photographs is one common level.
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
@@ -18,15 +17,14 @@ import numpy as np
 from cep.photographs.scene_photo import BANDS, band_levels
 from cep.photographs.scenes import photographs
 from lab.photo_gains.photographs import load_scenes
+from lab.studies.inputs import study_parser
 
 SIDE_PX = 300  # of a folder's
 KNEE_CY_PX = 0.25
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("photos", type=Path, nargs="?")
     arguments = parser.parse_args()
     scenes = photographs()

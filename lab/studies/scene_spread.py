@@ -13,7 +13,6 @@ the standard deviation from seed to seed; last the mean over the cases.
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,6 +27,7 @@ from cep.search.objective import Objective
 from cep.search.problem import Scenario, SearchProblem
 from lab.photo_gains.__main__ import CHIPS, SIDE_PX, motions, trial_of
 from lab.photo_gains.photographs import load_scenes
+from lab.studies.inputs import study_parser
 from motdiff.trajectory import Trajectory
 
 LIGHT = ((10.0, 3_000.0), (50.0, 10_000.0), (200.0, 100_000.0))
@@ -39,9 +39,7 @@ FINE = 64
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=8, help="photos at most")
     parser.add_argument("--seeds", type=int, default=4, help="searches of each code")

@@ -14,7 +14,6 @@ chips, and 52 chips under the limits of a device
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import replace
 
@@ -31,6 +30,7 @@ from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from lab.bench.codes import code_rows
+from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 
 SHAKES = 8
@@ -199,9 +199,7 @@ SECTIONS = {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--only", choices=SECTIONS)
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--seed", type=int, default=0)

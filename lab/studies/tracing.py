@@ -7,13 +7,12 @@ Without ``--gyro`` the second table uses synthetic shakes: band-limited Gaussian
 
 from __future__ import annotations
 
-import argparse
 import time
 
 import numpy as np
 from scipy import spatial
 
-from lab.studies.inputs import smooth_trace
+from lab.studies.inputs import smooth_trace, study_parser
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc_subpixel, ordered_distance_px
@@ -143,9 +142,7 @@ def dwell_table(motions: int, trace: GyroTrace, seed: int) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--maps", type=int, default=200)
     parser.add_argument("--motions", type=int, default=25)
     parser.add_argument(

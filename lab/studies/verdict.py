@@ -10,7 +10,6 @@ the greatest. 40 chips, direction known, along a straight motion of 40 px and al
 
 from __future__ import annotations
 
-import argparse
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
@@ -21,6 +20,7 @@ from cep.optics.camera import Camera
 from cep.search.advise import advise
 from cep.search.problem import SearchProblem
 from cep.search.verdict import gain_range_db
+from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -109,9 +109,7 @@ def draw(tables: dict[str, FloatArray], image: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--walks", type=int, default=3, help="random walks")
     parser.add_argument("--image", type=Path, default=Path("docs/images/verdict-map.png"))
     parser.add_argument("--workers", type=int, default=1)

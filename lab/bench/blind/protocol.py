@@ -244,8 +244,6 @@ def _typed(values: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any
 _TRIES = 100
 _PAIRS = 0x6576616C  # streams, apart from those of a training run of the same seed
 _OTHER_PAIRS = 0x6D65616E
-_DURATION_S = 60.0
-_RATE_HZ = 200.0
 _RATE_RAD_S = 0.1
 _LOW_HZ = 0.5
 _FALL_HZ = 4.0
@@ -327,17 +325,17 @@ def paired_shakes(
     return tuple(shakes)
 
 
-def synthetic_trace(seed: int = 0) -> GyroTrace:
-    """Synthetic hand shake: angular rates as noise of 1 to 12 Hz, 0.1 rad/s rms, one minute at 200
-    Hz.
-    """
+def synthetic_trace(
+    seed: int | np.random.Generator = 0, *, duration_s: float = 60.0, rate_hz: float = 200.0
+) -> GyroTrace:
+    """Synthetic hand shake: angular rates as noise of 1 to 12 Hz, 0.1 rad/s rms."""
     rng = np.random.default_rng(seed)
-    count = round(_DURATION_S * _RATE_HZ)
-    freq_hz = np.fft.rfftfreq(count, 1 / _RATE_HZ)
+    count = round(duration_s * rate_hz)
+    freq_hz = np.fft.rfftfreq(count, 1 / rate_hz)
     real, imaginary = rng.standard_normal((2, 3, freq_hz.size))
     spectrum = (real + 1j * imaginary) * np.exp(-freq_hz / _FALL_HZ) * (freq_hz > _LOW_HZ)
     rate = np.fft.irfft(spectrum, count, axis=1).T
-    return GyroTrace(np.arange(count) / _RATE_HZ, _RATE_RAD_S * rate / rate.std(axis=0))
+    return GyroTrace(np.arange(count) / rate_hz, _RATE_RAD_S * rate / rate.std(axis=0))
 
 
 def _drawn(protocol: Protocol, trace: GyroTrace | None, rng: np.random.Generator) -> Trajectory:
