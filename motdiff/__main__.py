@@ -61,10 +61,18 @@ def run(arguments: Sequence[str] | None = None, *, trainers: Sequence[type[Train
     """
     options = parser().parse_args(arguments)
     options.trainers = trainers
-    command: Callable[[argparse.Namespace], None] = options.command
-    try:
+
+    def work() -> None:
         options.check(options.out)  # before anything is read: training would fail only at its end
-        command(options)
+        options.command(options)
+
+    return exit_code(work)
+
+
+def exit_code(work: Callable[[], None]) -> int:
+    """Do the work of a command; 0 done, 2 bad input, 1 a failure, 130 Ctrl-C, in one line."""
+    try:
+        work()
     except (
         ValueError,
         FileNotFoundError,

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from motdiff.files.inputs import printable
+from motdiff.__main__ import exit_code
 
 _Commands = argparse._SubParsersAction  # the only name argparse has for it
 
@@ -81,22 +81,7 @@ def run_command(parser: argparse.ArgumentParser, arguments: Sequence[str] | None
     Returns
     -------
     int
-        Exit code: 0 done, 2 for bad input, 1 for a failure, 130 after Ctrl-C. All but 0 print one
-        line to stderr.
+        Exit code, as of :func:`motdiff.__main__.exit_code`.
     """
     options = parser.parse_args(arguments)
-    try:
-        options.command(options)
-    except (ValueError, FileNotFoundError, NotADirectoryError) as error:
-        return _failed(error, 2)
-    except (OSError, FloatingPointError) as error:
-        return _failed(error, 1)
-    except KeyboardInterrupt:
-        return _failed("stopped", 130)
-    return 0
-
-
-def _failed(error: object, code: int) -> int:
-    line = (str(error) or type(error).__name__).splitlines()[0]
-    print(f"error: {printable(line)}", file=sys.stderr)
-    return code
+    return exit_code(lambda: options.command(options))

@@ -43,19 +43,9 @@ class Option:
     choices: tuple[str, ...] = ()
 
 
-def option(
-    kind: Kind,
-    help: str,
-    *,
-    flag: str,
-    metavar: str,
-    default: Any = MISSING,
-    shown_default: str = "",
-    choices: tuple[str, ...] = (),
-) -> Any:
-    """Make the field of an option; one without a default is needed."""
-    declared = Option(kind, help, flag, metavar, shown_default, choices)
-    return field(default=default, metadata={"option": declared})
+def option(kind: Kind, help: str, *, default: Any = MISSING, **declared: Any) -> Any:
+    """Make the field of an :class:`Option`; one without a default is needed."""
+    return field(default=default, metadata={"option": Option(kind, help, **declared)})
 
 
 def codes_option(**default: Any) -> Any:

@@ -82,23 +82,24 @@ def corrected(network: CorrectionNetwork, maps: Tensor) -> Tensor:
     return without_faint_light(torch.cat(aligned, dim=1).mean(dim=1).clamp(min=0), below=DOUBT)
 
 
-def correction_maps(crops: Tensor, kernels: Tensor, rivals: Tensor, *, sigma: float) -> Tensor:
-    """Stack the correction network's input for kernels estimated from crops of one photo.
+def correction_maps(photos: Tensor, kernels: Tensor, rivals: Tensor, *, sigma: float) -> Tensor:
+    """Stack the correction network's input, for one kernel of each photo or several of one.
 
     Parameters
     ----------
-    crops : (C, H, W) float32, grey, linear light
-        They share one blur; sides of at least 64 px.
-    kernels : (K, 64, 64) float32, sum 1
-    rivals : (K, 2, 64, 64) float32, sum 1
+    photos : (B or 1, C, H, W) float32, grey, linear light
+        As C crops each, which share one blur; sides of at least 64 px. A single photo belongs to
+        all kernels.
+    kernels : (B, 64, 64) float32, sum 1
+    rivals : (B, 2, 64, 64) float32, sum 1
         For each kernel, two other candidates, which may be like it; the same one twice where there
         are only two.
     sigma : float
-        Standard deviation of the noise.
+        Standard deviation of the noise in all of them.
 
     Returns
     -------
-    (K, 11, 64, 64) float32: the kernel and its two rivals; least-squares kernels of its latent
+    (B, 11, 64, 64) float32: the kernel and its two rivals; least-squares kernels of its latent
     photo, with three ridges, and of its Wiener restoration; the correlation of the latent
     gradients with the residual of the photo's: positive where light is missing, negative where
     there is too much; each over its largest magnitude. Then autocorrelation and cepstrum of the
@@ -108,27 +109,6 @@ def correction_maps(crops: Tensor, kernels: Tensor, rivals: Tensor, *, sigma: fl
     ------
     ValueError
         If a side is shorter than 64 px.
-    """
-    return photos_correction_maps(crops[None], kernels, rivals, sigma=sigma)
-
-
-def photos_correction_maps(
-    photos: Tensor, kernels: Tensor, rivals: Tensor, *, sigma: float
-) -> Tensor:
-    """Stack the maps of :func:`correction_maps` for one kernel of each of several photos.
-
-    Parameters
-    ----------
-    photos : (B or 1, C, H, W) float32, grey, linear light
-        As C crops each; a single one belongs to all kernels.
-    kernels : (B, 64, 64) float32, sum 1
-    rivals : (B, 2, 64, 64) float32, sum 1
-    sigma : float
-        Standard deviation of the noise in all of them.
-
-    Returns
-    -------
-    (B, 11, 64, 64) float32
     """
     signed = torch.cat([kernels[:, None], rivals, _photo_maps(photos, kernels, sigma)], dim=1)
     signed = signed / signed.abs().amax(dim=(-2, -1), keepdim=True).clamp(min=1e-9)

@@ -19,7 +19,7 @@ from torch.nn import functional
 from motdiff.blind_search.coarse_to_fine import PmpSettings, estimate_kernels
 from motdiff.blind_search.grids import shifted
 from motdiff.estimators.pmp.estimator import STARTS, Start
-from motdiff.network.correction import CorrectionNetwork, corrected, photos_correction_maps
+from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.photo_noise import noise_sigma
 from motdiff.psf_frame import margins
@@ -51,7 +51,7 @@ class Kernels:
     Attributes
     ----------
     maps : (N, 11, 64, 64) float16
-        From :func:`motdiff.network.correction.photos_correction_maps`; the first is the kernel.
+        From :func:`motdiff.network.correction.correction_maps`; the first is the kernel.
     truth : (N, 64, 64) float16
         True PSFs, laid on the kernels to a quarter of a pixel.
     """
@@ -212,9 +212,7 @@ def kernel_maps(photos: Tensor, kernels: Tensor, sigma: float) -> Tensor:
     """Stack the maps (B, K, 11, 64, 64) of the kernels (B, K, 64, 64) of photos (B, 1, H, W)."""
     return torch.stack(
         [
-            photos_correction_maps(
-                photos, kernels[:, i], kernels.roll(-i, 1)[:, [1, -1]], sigma=sigma
-            )
+            correction_maps(photos, kernels[:, i], kernels.roll(-i, 1)[:, [1, -1]], sigma=sigma)
             for i in range(kernels.shape[1])
         ],
         dim=1,

@@ -51,54 +51,30 @@ def draw_psfs(
     if network.physics is not None:
         physics = physics_maps(light, torch.from_numpy(classical.astype(np.float32))[None])
     photo = None if network.photo is None else _photo(light)
-    turns = range(min(SYMMETRIES, count))
-    # a generator for each symmetry: the draws do not depend on the order of the threads
-    seeds = torch.randint(2**62, (len(turns),), generator=generator).tolist()
-    jobs = [
-        partial(
-            _drawn,
+    schedule = cosine_schedule()
+
+    def drawn(symmetry: int, seed: int) -> Tensor:
+        """PSFs (n, 64, 64) drawn from the photo turned or mirrored one way, turned back."""
+        condition = network.condition(
+            None if photo is None else mirrored(photo, symmetry, pitch=0),
+            None if physics is None else mirrored(physics, symmetry, pitch=1),
+        )
+        paths = sample_paths(
             network,
-            photo,
-            physics,
-            symmetry=s,
-            count=len(range(s, count, SYMMETRIES)),
+            condition,
+            count=len(range(symmetry, count, SYMMETRIES)),
+            schedule=schedule,
             steps=steps,
             generator=torch.Generator().manual_seed(seed),
             method=method,
         )
-        for s, seed in zip(turns, seeds, strict=True)
-    ]
-    psfs = side_by_side(jobs)
+        return mirrored(paths.psfs(), inverse_symmetry(symmetry), pitch=1)[0]
+
+    # a generator for each symmetry: the draws do not depend on the order of the threads
+    seeds = torch.randint(2**62, (min(SYMMETRIES, count),), generator=generator).tolist()
+    psfs = side_by_side([partial(drawn, s, seed) for s, seed in enumerate(seeds)])
     draws = torch.stack([psfs[i % SYMMETRIES][i // SYMMETRIES] for i in range(count)])
     return np.asarray(draws.double().numpy(), dtype=np.float64)
-
-
-def _drawn(
-    network: MotDiffNetwork,
-    photo: Tensor | None,
-    physics: Tensor | None,
-    *,
-    symmetry: int,
-    count: int,
-    steps: int,
-    generator: torch.Generator,
-    method: str,
-) -> Tensor:
-    """PSFs (count, 64, 64) drawn from the photo turned or mirrored one way, turned back."""
-    condition = network.condition(
-        None if photo is None else mirrored(photo, symmetry, pitch=0),
-        None if physics is None else mirrored(physics, symmetry, pitch=1),
-    )
-    paths = sample_paths(
-        network,
-        condition,
-        count=count,
-        schedule=cosine_schedule(),
-        steps=steps,
-        generator=generator,
-        method=method,
-    )
-    return mirrored(paths.psfs(), inverse_symmetry(symmetry), pitch=1)[0]
 
 
 def quick_search(crops: FloatArray, *, sigma: float) -> FloatArray:

@@ -13,13 +13,13 @@ import torch
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import Judge, candidate_probabilities, distinct
 from motdiff.estimators.motdiff import MotDiff
-from motdiff.estimators.motdiff.agreement import (
+from motdiff.estimators.motdiff.correcting import (
     agreed_kernels,
+    corrected_choice,
     framed,
     in_odd_frames,
     kernels_agreed_at_half,
 )
-from motdiff.estimators.motdiff.correcting import corrected_choice
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned, refined
@@ -54,7 +54,7 @@ class MotDiffEstimator(BlindEstimator):
     Two classical searches give kernels, which a network corrects by what the photo tells of them
     (:mod:`motdiff.network.correction`). Where these agree, with each other and with the photo, the
     better one is chosen; or else the kernel that two searches of the photo at half its size agree
-    on (:mod:`motdiff.estimators.motdiff.agreement`). Where they differ there as well, the photo
+    on (:mod:`motdiff.estimators.motdiff.correcting`). Where they differ there as well, the photo
     leaves several motions: two more searches follow, and the diffusion network, conditioned on
     three of the kernels, samples motions. All are scored on the photo
     (:mod:`motdiff.estimators.kernel_score`), the most likely ones are refined at full resolution,

@@ -38,7 +38,7 @@ def maps_of(sharps, true, told, *, sigma=0.0):
     photos = torch.from_numpy(np.stack([blur_valid(sharp, true) for sharp in sharps])).float()
     kernel = torch.from_numpy(told)[None].float()
     return photos, correction_maps(
-        photos, kernel, kernel[:, None].expand(-1, 2, -1, -1), sigma=sigma
+        photos[None], kernel, kernel[:, None].expand(-1, 2, -1, -1), sigma=sigma
     )
 
 
@@ -53,7 +53,7 @@ def test_maps_are_the_kernel_the_others_and_those_of_the_photo_and_of_the_kernel
     photos = torch.rand(2, 80, 72, generator=torch.Generator().manual_seed(0))
     kernels = torch.from_numpy(np.stack([HOOK, SHAFT])).float()
     others = torch.stack([kernels[[1, 0]], kernels[[0, 0]]])
-    maps = correction_maps(photos, kernels, others, sigma=0.01)
+    maps = correction_maps(photos[None], kernels, others, sigma=0.01)
     assert maps.shape == (2, MAPS, 64, 64)
     torch.testing.assert_close(maps[:, 0], kernels / kernels.amax(dim=(1, 2), keepdim=True))
     torch.testing.assert_close(maps[:, 1:3], others / others.amax(dim=(2, 3), keepdim=True))
@@ -115,7 +115,7 @@ def test_a_photo_below_64_px_is_refused():
     kernel = torch.from_numpy(HOOK)[None].float()
     with pytest.raises(ValueError, match="sides must be at least 64 px, got 70 x 63"):
         correction_maps(
-            torch.rand(1, 63, 70), kernel, kernel[:, None].expand(-1, 2, -1, -1), sigma=0.0
+            torch.rand(1, 1, 63, 70), kernel, kernel[:, None].expand(-1, 2, -1, -1), sigma=0.0
         )
 
 

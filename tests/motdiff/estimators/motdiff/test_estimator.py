@@ -10,10 +10,9 @@ import torch
 from lab.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.blind_search.grids import mirrored
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.motdiff import agreement, correcting, drawing
+from motdiff.estimators.motdiff import correcting, drawing
 from motdiff.estimators.motdiff import estimator as module
-from motdiff.estimators.motdiff.agreement import in_odd_frames
-from motdiff.estimators.motdiff.correcting import corrected_kernel
+from motdiff.estimators.motdiff.correcting import corrected_kernel, in_odd_frames
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, Start, planned
@@ -528,7 +527,7 @@ def test_where_two_corrected_searches_differ_the_network_draws(monkeypatch, shak
     monkeypatch.setattr(module, "PmpEstimator", TwoThenFour)
     monkeypatch.setattr(FakePmp, "motions", (STRAIGHT, LOST[0], LOST[1], STRAIGHT))
     monkeypatch.setattr(
-        agreement, "corrected_kernel", lambda _network, _crops, kernel, *_, **__: kernel
+        correcting, "corrected_kernel", lambda _network, _crops, kernel, *_, **__: kernel
     )
     oracle = Oracle(STRAIGHT)
     candidates = estimator_with(monkeypatch, oracle).search(shaken[None])

@@ -6,7 +6,7 @@ import pytest
 from skimage import data
 
 from motdiff.estimators.kernel_score import Judge
-from motdiff.estimators.motdiff.agreement import agreed_kernels, kernels_agreed_at_half
+from motdiff.estimators.motdiff.correcting import agreed_kernels, kernels_agreed_at_half
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
 from motdiff.simulate import photograph
