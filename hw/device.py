@@ -61,7 +61,7 @@ class DeviceProfile:
     --------
     >>> from hw.program import Program
     >>> slow = DeviceProfile(name="slow", min_on_ns=2_000_000)
-    >>> slow.check(Program.from_bits("1011", chip_ns=1_000_000))
+    >>> slow.check(Program("1011", chip_ns=1_000_000))
     ('slow: shortest opening is 1 ms; at least 2 ms',)
     """
 

@@ -68,9 +68,7 @@ with tempfile.TemporaryDirectory() as folder:
             f" {report.read_back}"
         )
     except EmulationError as missing:
-        recording.write_text(
-            EXPORTERS["vcd"].export(Program.from_bits(code.bits, chip_ns=code.chip_ns))
-        )
+        recording.write_text(EXPORTERS["vcd"].export(Program(code.bits, chip_ns=code.chip_ns)))
         emulated = False
         print(f"{missing}. The recording of an ideal shutter is read instead.")
     played = cep.read_playback(recording, code, signal="shutter")

@@ -168,10 +168,7 @@ def test_proofs():
 
 def test_programs():
     assert (
-        faults(
-            json.loads(export_program(Program.from_bits("10110", chip_ns=1000), "json")), "program"
-        )
-        == []
+        faults(json.loads(export_program(Program("10110", chip_ns=1000), "json")), "program") == []
     )
 
 
@@ -305,7 +302,7 @@ def _stored(path, document):
     return path
 
 
-@given(mutated(json.loads(export_program(Program.from_bits("10110", chip_ns=1000), "json"))))
+@given(mutated(json.loads(export_program(Program("10110", chip_ns=1000), "json"))))
 def test_a_program_is_checked_as_its_schema_has_it(changed):
     assert (fault(changed, schema("program")) is None) == (not faults(changed, "program"))
 

@@ -166,7 +166,7 @@ class CalibrationSet:
             for i, code in enumerate(self.codes, 1):
                 about = {"calibration_set": all_bits, "photo": i, "device": device}
                 write_code(staged / f"code_{i}.json", StoredCode(code, problem=about))
-                program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
+                program = Program(code.bits, chip_ns=code.chip_ns)
                 write_text(
                     staged / find_exporter(file_format).file_name(f"code_{i}"),
                     export_program(program, file_format, device=self.device),

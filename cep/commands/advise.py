@@ -71,13 +71,7 @@ class AdviseOptions(CommonOptions, CameraOptions, SceneOptions, MotionOptions):
         from cep.codes.sources import stated_chip_ns
         from cep.files.formatting import duration
 
-        times_ns = sorted(
-            {
-                time_ns
-                for time_ns in map(stated_chip_ns, self.code or (), codes)
-                if time_ns is not None
-            }
-        )
+        times_ns = sorted(set(filter(None, map(stated_chip_ns, self.code or (), codes))))
         if len(times_ns) > 1:
             raise ValueError(
                 "--code: the files state chips of"
@@ -104,10 +98,7 @@ class AdviseOptions(CommonOptions, CameraOptions, SceneOptions, MotionOptions):
         from cep.search.problem import ProblemFields, SearchProblem
 
         exposure_s: float | None = exposure_seconds(self.exposure) or ASSUMED_EXPOSURE_S
-        fields: ProblemFields = {
-            "camera": self.load_camera(),
-            "scene": self.load_scene(),
-        }
+        fields: ProblemFields = {"camera": self.load_camera(), "scene": self.load_scene()}
         if chip_ns is not None:
             fields["chip_ns"] = chip_ns
             exposure_s = None

@@ -60,7 +60,9 @@ class Table:
         from motdiff.files.inputs import printable
 
         texts = [[_rich_cell(value) for value in row] for row in self.rows]
-        cells = [max((row[i].cell_len for row in texts), default=0) for i in range(self.width)]
+        cells = [
+            max((row[i].cell_len for row in texts), default=0) for i, _ in enumerate(self.columns)
+        ]
         widths = self._fitted(cells, options.max_width)
         grid = RichTable(
             title=Text(printable(self.title)),
@@ -80,17 +82,14 @@ class Table:
         for row in texts:
             grid.add_row(*(row[index] for index in widths))
         yield grid
-        left_out = [printable(self.columns[i]) for i in range(self.width) if i not in widths]
+        left_out = [
+            printable(self.columns[i]) for i, _ in enumerate(self.columns) if i not in widths
+        ]
         if left_out:
             yield Text(
                 f"left out, as {options.max_width} columns are too narrow: {'; '.join(left_out)}"
                 " (all are in --json)"
             )
-
-    @property
-    def width(self) -> int:
-        """Number of columns."""
-        return len(self.columns)
 
     def _fitted(self, cells: Sequence[int], available: int) -> dict[int, int]:
         """Choose the columns shown and their widths, given the widest cell of each."""

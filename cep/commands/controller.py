@@ -191,15 +191,14 @@ def _list_ports(*, ask: bool, as_json: bool) -> None:
             "description": port.description,
             "serial_number": port.serial_number,
         }
-        controller: str | Hello = answer or "not asked"
-        reply: dict[str, object] = {"firmware": None, "controller": None, "answer": None}
-        if isinstance(answer, Hello):
-            controller = answer.firmware
-            reply |= {"firmware": controller, "controller": True}
-        elif answer is not None:
-            reply |= {"controller": False, "answer": answer}
+        firmware = answer.firmware if isinstance(answer, Hello) else None
+        reply = {
+            "firmware": firmware,
+            "controller": None if answer is None else firmware is not None,
+            "answer": None if firmware is not None else answer,
+        }
         ports.append({**about, **reply})
-        rows.append((*about.values(), controller))
+        rows.append((*about.values(), firmware or answer or "not asked"))
     page: Page = ["no serial ports"]
     if rows:
         heads = ("port", "description", "USB serial number", "controller")

@@ -95,7 +95,6 @@ def upload(options: UploadOptions) -> None:
 
     Example: cep upload code.json --port /dev/ttyACM0 --arm
     """
-    from cep.optics.code import ShutterCode
     from cep.shutter.play import open_shutter
     from hw.drivers import DRIVERS
 
@@ -111,7 +110,7 @@ def upload(options: UploadOptions) -> None:
     profile = options.checked_profile(program, stored)
     with open_shutter(options.port, driver=driver) as shutter:
         report = shutter.upload(
-            ShutterCode(program.bits, program.chip_ns),
+            program,
             profile=profile,
             arm=options.arm,
             play=options.play,

@@ -90,8 +90,9 @@ class NextOptions:
                 "--next: needs --method motdiff or pmp for the first photo, and --code after it"
             )
         if len(sources) > 1:
-            for option in [name for name in ("--chips", "--chip-ns") if name in options]:
-                raise ValueError(f"{option}: the codes given say it")
+            for name in ("--chips", "--chip-ns"):
+                if name in options:
+                    raise ValueError(f"{name}: the codes given say it")
 
     def _given(self) -> dict[str, Any]:
         """Return the settings of the next code that are given, by their names in Python."""

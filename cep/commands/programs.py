@@ -60,7 +60,7 @@ class TimedCode:
             if self.chip_ns is None:
                 place = f"{self.code}: chip time"
             raise ValueError(f"{place} must be below 2^63 ns, got {code.chip_ns:.6g}")
-        return Program.from_bits(code.bits, chip_ns=code.chip_ns), stored
+        return Program(code.bits, chip_ns=code.chip_ns), stored
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -23,10 +23,8 @@ from cep.commands.options import (
 from cep.commands.shots import (
     calibrate_in_loop,
     calibrate_with_set,
-    doubts,
     end_unless_counted,
-    headline,
-    taken,
+    take_photos,
 )
 
 if TYPE_CHECKING:
@@ -225,26 +223,29 @@ def _photos(options: ShootOptions) -> None:
     stems = ["photo"]
     if options.repeat > 1:
         stems = [f"photo_{number:03d}" for number in range(1, options.repeat + 1)]
-    shots, files, restored = taken(options, [code], stems, count=options.repeat)
-    last = shots[-1]
-    lines = [headline(files, shots)]
-    result: dict[str, object] = {"photos": files, **last.record.to_dict(), "restored": restored}
-    if len(shots) > 1:
+    photos = take_photos(options, [code], stems, count=options.repeat)
+    restored = None
+    following = f"then: cep deblur {photos.files[0]}"
+    if options.has_motion and photos.shots[0].counts:
+        with progress("restoring") as tick:
+            photos.restore(tick)
+        restored = photos.restored
+        following = f"{restored}: the photo restored along the motion that was given"
+    lines = [photos.headline, following]
+    result: dict[str, object] = {
+        "photos": photos.files,
+        **photos.shots[-1].record.to_dict(),
+        "restored": restored,
+    }
+    if len(photos.shots) > 1:
         from cep.shutter.shoot import repeatability
 
-        alike = repeatability([shot.record.light(shot.frame.values) for shot in shots])
+        alike = repeatability([shot.light for shot in photos.shots])
         result["repeatability"] = alike
-        lines.append(f"{len(shots)} photos: {alike}")
-    lines.append(_next(files, restored))
-    result["warnings"] = doubts(shots)
+        lines.insert(1, f"{len(photos.shots)} photos: {alike}")
+    result["warnings"] = photos.warnings
     finish(result, lines, as_json=options.as_json)
-    end_unless_counted(files, shots)
-
-
-def _next(files: list[Path], restored: Path | None) -> str:
-    if restored is not None:
-        return f"{restored}: the photo restored along the motion that was given"
-    return f"then: cep deblur {files[0]}"
+    end_unless_counted(photos)
 
 
 def _arm(options: ShootOptions, count: str) -> None:

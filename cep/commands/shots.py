@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,20 +11,23 @@ from cep.commands.commands import with_photo_file
 from cep.commands.console import FAILURE, announce, finish, progress
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from cep.calibration.calibrate import Calibration
     from cep.calibration.closed_loop import CalibrationStep
     from cep.commands.shoot import ShootOptions
     from cep.optics.code import ShutterCode
     from cep.shutter.rig import Shot
+    from cep.shutter.shot_folder import ShotFolder
     from motdiff.types import FloatArray
 
 
-def taken(
+def take_photos(
     options: ShootOptions, codes: list[ShutterCode], stems: list[str], *, count: int = 1
-) -> tuple[list[Shot], list[Path], Path | None]:
-    """Take the photos, each of which is on the disk before the next; restore the first."""
+) -> ShotFolder:
+    """Take the photos, each of which is on the disk before the next."""
     from cep.optics.path_limits import check_resolved
-    from cep.shutter.shoot import shoot as take
+    from cep.shutter.shoot import shoot
     from cep.shutter.shot_folder import ShotFolder
 
     folder = ShotFolder(options.output, stems, force=options.force)
@@ -39,46 +41,18 @@ def taken(
             folder.keep(shot)
             tick(len(folder.files) / len(stems), str(folder.files[-1]))
 
-        shots = list(
-            take(
-                options.camera,
-                codes,
-                port=options.port,
-                count=count,
-                settings=settings,
-                keep=keep,
-            )
-        )
-    if settings.motion is None or not shots[0].counts or len(codes) > 1:
-        folder.drop_restored()
-        return shots, folder.files, None
-    with progress("restoring") as tick:
-        warnings = folder.restore(shots[0], tick)
-    shots[0] = replace(shots[0], warnings=(*shots[0].warnings, *warnings))
-    return shots, folder.files, folder.restored
+        shoot(options.camera, codes, port=options.port, count=count, settings=settings, keep=keep)
+    folder.drop_restored()
+    return folder
 
 
-def headline(files: list[Path], shots: list[Shot]) -> str:
-    """Say what was taken, and whether it counts."""
-    photos = f"{files[-1]}" if len(files) == 1 else f"{files[0]} to {files[-1].name}"
-    if not shots[-1].counts:
-        return f"{photos}: the last does not count"
-    return f"{photos}: {shots[-1].verdict}"
-
-
-def doubts(shots: list[Shot]) -> list[str]:
-    """Warnings of all photos, each once; none where one does not count, which is said instead."""
-    if not shots[-1].counts:
-        return []
-    return [*dict.fromkeys(text for shot in shots for text in shot.warnings)]
-
-
-def end_unless_counted(files: list[Path], shots: list[Shot]) -> None:
+def end_unless_counted(folder: ShotFolder) -> None:
     """End the command with exit code 1 where the last photo does not count."""
-    if not shots[-1].counts:
-        problems = "; ".join(shots[-1].record.problems)
+    if not folder.counts:
+        problems = "; ".join(folder.shots[-1].record.problems)
         announce(
-            f"{files[-1]} does not count: {problems}; {len(shots) - 1} photos before it count"
+            f"{folder.files[-1]} does not count: {problems}; {len(folder.shots) - 1} photos before"
+            " it count"
         )
         raise typer.Exit(FAILURE)
 
@@ -104,31 +78,33 @@ def calibrate_with_set(options: ShootOptions, folder: Path) -> None:
     motion_folder = options.output / "motion"
     claim_folder(motion_folder, CALIBRATION_FILES, force=options.force)
     stems = [f"P{number}" for number in range(1, len(codes) + 1)]
-    shots, files, _ = taken(options, codes, stems)
-    result: dict[str, object] = {"photos": files, "counts": shots[-1].counts}
-    lines = [headline(files, shots)]
-    if shots[-1].counts:
+    photos = take_photos(options, codes, stems)
+    result: dict[str, object] = {"photos": photos.files, "counts": photos.counts}
+    lines = [photos.headline]
+    if photos.counts:
         with progress("estimating the motion") as tick:
-            lights = [shot.record.light(shot.frame.values) for shot in shots]
+            lights = [shot.light for shot in photos.shots]
             calibration = estimate_motion(lights, codes=codes, progress=tick)
-            about = {"images": list(map(str, files)), "codes": [code.bits for code in codes]}
-            paths = calibration.save(motion_folder, source=about, force=options.force)
+            paths = calibration.save(
+                motion_folder, source=_source(photos, codes), force=options.force
+            )
         result |= {"trajectory": paths["trajectory.json"], "confidence": calibration.confidence}
         about_motion, command = _motion_lines(
-            calibration, paths["trajectory.json"], photos=len(files), code=codes[0]
+            calibration, paths["trajectory.json"], photos=len(codes), code=codes[0]
         )
         lines = [about_motion, *lines, command]
-    result["warnings"] = doubts(shots)
+    result["warnings"] = photos.warnings
     finish(result, lines, as_json=options.as_json)
-    end_unless_counted(files, shots)
+    end_unless_counted(photos)
+
+
+def _source(photos: ShotFolder, codes: Sequence[ShutterCode]) -> dict[str, object]:
+    """Say in a trajectory's file what it was found in."""
+    return {"images": list(map(str, photos.files)), "codes": [code.bits for code in codes]}
 
 
 def _motion_lines(
-    calibration: Calibration,
-    trajectory: Path,
-    *,
-    photos: int,
-    code: ShutterCode,
+    calibration: Calibration, trajectory: Path, *, photos: int, code: ShutterCode
 ) -> list[str]:
     """Say what motion the photos show, and the command that searches a code for it."""
     return [
@@ -158,16 +134,12 @@ def calibrate_in_loop(options: ShootOptions) -> None:
     if settings.motion is not None:
         check_resolved(settings.motion, STANDARD_CHIPS)
     assert options.camera is not None
-    shots: list[Shot] = []
     steps: list[CalibrationStep] = []
 
     def save(step: CalibrationStep) -> Path:
         paths = step.calibration.save(
             motion_folder,
-            source={
-                "images": list(map(str, folder.files)),
-                "codes": [code.bits for code in step.codes],
-            },
+            source=_source(folder, step.codes),
             force=options.force or len(steps) > 1,  # over that of the photos before
         )
         return paths["trajectory.json"]
@@ -176,10 +148,10 @@ def calibrate_in_loop(options: ShootOptions) -> None:
 
         def take(code: ShutterCode) -> FloatArray:
             rig.prepare(code, settings)
-            shots.extend(rig.series(1, keep=folder.keep))
-            if not shots[-1].counts:
-                raise CameraError(f"{folder.files[-1]} {shots[-1].verdict}")
-            return shots[-1].record.light(shots[-1].frame.values)
+            (shot,) = rig.series(1, keep=folder.keep)
+            if not shot.counts:
+                raise CameraError(f"{folder.files[-1]} {shot.verdict}")
+            return shot.light
 
         if rig.controller is None:
             raise ValueError(
@@ -215,7 +187,7 @@ def calibrate_in_loop(options: ShootOptions) -> None:
             "trajectory": trajectory,
             "confidence": last.calibration.confidence,
             "confidences": [step.calibration.confidence for step in steps],
-            "warnings": [*doubts(shots), *last.calibration.warnings],
+            "warnings": [*folder.warnings, *last.calibration.warnings],
         },
         _outcome(last, trajectory, moves=moves),
         as_json=options.as_json,

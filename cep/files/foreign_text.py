@@ -88,22 +88,6 @@ def markdown_text(text: str) -> str:
     return _MARKDOWN.sub(r"\\\1", printable(text))
 
 
-def in_code_span(text: str) -> str:
-    """Write a text in Markdown as code, between more backticks than it has.
-
-    Examples
-    --------
-    >>> in_code_span("cep mtf"), in_code_span("a`b")
-    ('`cep mtf`', '`` a`b ``')
-    """
-    visible = printable(text)
-    longest = max(map(len, re.findall("`+", visible)), default=0)
-    if longest == 0:
-        return f"`{visible}`"
-    fence = "`" * (longest + 1)
-    return f"{fence} {visible} {fence}"
-
-
 def latex_text(text: str) -> str:
     r"""Write a text in LaTeX.
 

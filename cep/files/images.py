@@ -122,7 +122,7 @@ def read_codes(
 
 
 def read_detail(
-    path: Path | str, *, side_px: int, preview_px: int, gamma: str | float = "srgb"
+    path: Path | str, *, side_px: int, preview_px: int
 ) -> tuple[Photo, FloatArray, tuple[int, int]]:
     """Read the part of a photo with most detail, and all of it small.
 
@@ -130,7 +130,7 @@ def read_detail(
 
     Parameters
     ----------
-    path, gamma
+    path
         As of :func:`read_photo`.
     side_px : int
         Longest side of the part.
@@ -144,7 +144,7 @@ def read_detail(
     """
     import cv2
 
-    decoded, linear, warnings = _decoded(path, gamma, MIN_SIDE_PX, "y")
+    decoded, linear, warnings = _decoded(path, "srgb", MIN_SIDE_PX, "y")
     height, width = decoded.shape[:2]
     factor = max(max(height, width) / preview_px, 1.0)
 

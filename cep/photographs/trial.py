@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass
 from functools import partial
 
 import numpy as np
@@ -33,6 +34,12 @@ _MOST_BORDER_PX = 40
 _MOST_SHIFT_PX = 3.0  # of a photo restored along a path with an error
 
 
+def restored(photo: FloatArray, psf: FloatArray, *, camera: Camera) -> FloatArray:
+    """Restore a photo as :func:`cep.restoration.restore.restore` does along a known motion."""
+    return pnp(fill_clipped(photo, psf), psf, camera=camera)
+
+
+@dataclass(frozen=True)
 class PhotoTrial:
     """Photos of photographs along motions, each through any code, restored as by default.
 
@@ -54,32 +61,20 @@ class PhotoTrial:
         Of the noise and of the paths' errors.
     judged_px : int
         Side of the middle of each photo that is judged.
-    restore : callable, optional
-        Takes (photo, psf, camera=...); :func:`default_restoration` when omitted.
+    restore : callable
+        Takes (photo, psf, camera=...).
     """
 
-    def __init__(
-        self,
-        motions: Sequence[Trajectory],
-        photographs: Sequence[FloatArray],
-        *,
-        camera: Camera,
-        response: ShutterResponse | None = None,
-        chip_ns: int = 1_000_000,
-        path_error_px: float = 0.0,
-        seed: int = 0,
-        judged_px: int = JUDGED_PX,
-        restore: Callable[..., FloatArray] | None = None,
-    ) -> None:
-        self._motions = motions
-        self._photographs = photographs
-        self._camera = camera
-        self._response = response
-        self._chip_ns = chip_ns
-        self._path_error_px = path_error_px
-        self._seed = seed
-        self._judged_px = judged_px
-        self._restore = restore or default_restoration
+    motions: Sequence[Trajectory]
+    photographs: Sequence[FloatArray]
+    _: KW_ONLY
+    camera: Camera
+    response: ShutterResponse | None = None
+    chip_ns: int = 1_000_000
+    path_error_px: float = 0.0
+    seed: int = 0
+    judged_px: int = JUDGED_PX
+    restore: Callable[..., FloatArray] = restored
 
     def psnr_db(
         self,
@@ -99,28 +94,28 @@ class PhotoTrial:
             Called with the number of finished photos.
         """
         if numbers is None:
-            numbers = range(len(self._photographs))
+            numbers = range(len(self.photographs))
         jobs = [partial(self._measured, code, number) for code in codes for number in numbers]
         return np.array(side_by_side(jobs, tell=tell)).reshape(len(codes), len(numbers))
 
     def _measured(self, code: ShutterCode, number: int) -> float:
-        path = self._motions[number % len(self._motions)]
+        path = self.motions[number % len(self.motions)]
         psf = self._psf(path, code)
         true_psf = psf
-        if self._path_error_px > 0:
-            rng = np.random.default_rng([self._seed, number, 1])
-            true_path = with_smooth_error(path, self._path_error_px, rng=rng)
+        if self.path_error_px > 0:
+            rng = np.random.default_rng([self.seed, number, 1])
+            true_path = with_smooth_error(path, self.path_error_px, rng=rng)
             true_psf = self._psf(true_path, code)
-        integration_ns = ShutterCode(code.bits, self._chip_ns).integration_ns
-        camera = self._camera.with_dark_noise(integration_ns * 1e-9)
+        integration_ns = ShutterCode(code.bits, self.chip_ns).integration_ns
+        camera = self.camera.with_dark_noise(integration_ns * 1e-9)
         scene_side = len(true_psf) - 1
-        side_px = self._judged_px
+        side_px = self.judged_px
         photo_shape = [side_px + 2 * _border_px(reach) for reach in _reaches_px(psf)]
-        scene = _middle(self._photographs[number], *(side + scene_side for side in photo_shape))
-        rng = np.random.default_rng([self._seed, number, 2])
+        scene = _middle(self.photographs[number], *(side + scene_side for side in photo_shape))
+        rng = np.random.default_rng([self.seed, number, 2])
         photo = capture(scene, true_psf, camera=camera, rng=rng)
-        restored = np.clip(self._restore(photo, psf, camera=camera), 0, 1)
-        compared = _middle(restored, side_px, side_px)
+        image = np.clip(self.restore(photo, psf, camera=camera), 0, 1)
+        compared = _middle(image, side_px, side_px)
         truth = _middle(scene, side_px, side_px)
         if true_psf is psf:
             return psnr(compared, truth)
@@ -129,12 +124,7 @@ class PhotoTrial:
 
     def _psf(self, path: Trajectory, code: ShutterCode) -> FloatArray:
         size = (path.frame_size() + 4) | 1  # the shutter's ramps may reach beyond the path
-        return trimmed_psf(coded_psf(path, code, size, response=self._response))
-
-
-def default_restoration(photo: FloatArray, psf: FloatArray, *, camera: Camera) -> FloatArray:
-    """Restore a photo as :func:`cep.restoration.restore.restore` does along a known motion."""
-    return pnp(fill_clipped(photo, psf), psf, camera=camera)
+        return trimmed_psf(coded_psf(path, code, size, response=self.response))
 
 
 def grid_px(paths: Sequence[Trajectory]) -> int:

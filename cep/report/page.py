@@ -146,7 +146,7 @@ def write_demo(
             write_code(
                 temporary / "code.json", StoredCode(chain.code, metrics, described, certificate)
             )
-            program = Program.from_bits(chain.code.bits, chip_ns=chain.code.chip_ns)
+            program = Program(chain.code.bits, chip_ns=chain.code.chip_ns)
             for name, file_format in _PROGRAMS.items():
                 with suppress(ValueError):  # the sketch plays chips of 50 us to 32 ms only
                     write_text(
@@ -355,7 +355,7 @@ def _devices(chain: Chain) -> Table | None:
     """List the shutters that can play the code; None where no code is advised."""
     if chain.code is None:
         return None
-    program = Program.from_bits(chain.code.bits, chip_ns=chain.code.chip_ns)
+    program = Program(chain.code.bits, chip_ns=chain.code.chip_ns)
     profiles = [load_profile(name) for name in profile_names()]
     if chain.device is not None and chain.device not in profiles:
         profiles.insert(0, chain.device)

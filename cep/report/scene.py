@@ -142,7 +142,7 @@ def _calibration_codes(
     chip_ns = max(1, round(exposure_s / bins * 1e9))
     planes = [cep.ShutterCode(plane, chip_ns) for plane in gray_planes(_PLANES, bins)]
     if device is not None:
-        programs = [Program.from_bits(plane.bits, chip_ns=chip_ns) for plane in planes]
+        programs = [Program(plane.bits, chip_ns=chip_ns) for plane in planes]
         if any(device.check(program) for program in programs):
             return ()
     return (cep.ShutterCode(np.ones(bins), chip_ns), *planes)

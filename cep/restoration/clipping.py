@@ -31,9 +31,7 @@ _GRADIENT_PENALTY = 1e-2
 _LIGHT_PENALTY = 3e-3
 
 
-def fill_clipped(
-    photo: ArrayLike, psf: ArrayLike, *, clipped: ArrayLike | None = None
-) -> NDArray[np.floating]:
+def fill_clipped(photo: ArrayLike, psf: ArrayLike) -> NDArray[np.floating]:
     """Replace the clipped pixels of a photo by the blurred light of the likeliest scene.
 
     The scene x minimises ``|M (A x - y)|^2 / 2 + 1e-3 (|Dx x|_1 + |Dy x|_1)``, M being 1 on the
@@ -47,8 +45,6 @@ def fill_clipped(
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
     psf : (S, S) array_like
         Zero displacement at index ``size // 2``; its sum does not matter.
-    clipped : (H, W) array_like of bool, optional
-        Which pixels are; those of each channel at the clipped level when omitted.
 
     Returns
     -------
@@ -65,7 +61,7 @@ def fill_clipped(
     """
     channels = channels_first(photo)
     kernel = trimmed_psf(psf)
-    masks = clipped_channels(channels, clipped)
+    masks = channels >= CLIPPED_LEVEL
     if not masks.any():
         return np.asarray(photo)
     kernel = kernel / kernel.sum()
@@ -86,13 +82,6 @@ def fill_clipped(
         place = (number, *tile)
         filled[place] = np.where(masks[number][tile], light[inner], filled[place])
     return channels_last(filled)
-
-
-def clipped_channels(channels: FloatArray, clipped: ArrayLike | None) -> BoolArray:
-    """Clipped pixels of channels (C, H, W): ``clipped`` (H, W) in each, or each one's own."""
-    if clipped is None:
-        return channels >= CLIPPED_LEVEL
-    return np.broadcast_to(np.asarray(clipped, dtype=bool), channels.shape)
 
 
 def clipped_warnings(share: float, *, is_filled: bool = True) -> list[str]:

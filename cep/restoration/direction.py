@@ -82,11 +82,7 @@ class DirectionResult:
 
 
 def detect_direction(
-    photo: ArrayLike,
-    trajectory: Trajectory,
-    code: ShutterCode,
-    *,
-    size: int = PSF_PX,
+    photo: ArrayLike, trajectory: Trajectory, code: ShutterCode
 ) -> DirectionResult:
     """Test in which order in time a coded ``photo`` was taken along ``trajectory``.
 
@@ -97,8 +93,6 @@ def detect_direction(
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
     trajectory : Trajectory
     code : ShutterCode
-    size : int
-        PSF frame, px; larger when the path needs it.
 
     Raises
     ------
@@ -116,7 +110,7 @@ def detect_direction(
     'reverse'
     """
     paths = orders_in_time(trajectory)
-    frame = max(size, *(path.frame_size() for path in paths))
+    frame = max(PSF_PX, *(path.frame_size() for path in paths))
     result, chosen = _compared(photo, [coded_psf(path, code, frame) for path in paths])
     return replace(result, trajectory=paths[chosen])
 

@@ -43,11 +43,7 @@ def check_noise(camera: Camera | None, noise_variance: float | None) -> None:
 
 
 def fit_spectrum(
-    image: FloatArray,
-    blur: Blur,
-    *,
-    noise_variance: float | None = None,
-    shaped: bool = False,
+    image: FloatArray, blur: Blur, *, noise_variance: float | None = None, shaped: bool = False
 ) -> Spectrum:
     """Fit the scene's spectrum, and the noise when it is not given, to one channel.
 

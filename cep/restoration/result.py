@@ -11,8 +11,8 @@ from scipy import signal
 
 from cep.files.images import encode_image, write_image
 from cep.restoration.blur import channels_first, trimmed_psf
-from cep.restoration.clipping import clipped_channels
 from cep.restoration.direction import DirectionResult
+from motdiff.crops import CLIPPED_LEVEL
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -145,7 +145,9 @@ def misfit(
         slice(reach, channels.shape[1] - reach),
         slice(reach, channels.shape[2] - reach),
     )
-    usable = ~clipped_channels(channels, clipped)
+    usable = channels < CLIPPED_LEVEL
+    if clipped is not None:
+        usable = np.broadcast_to(~np.asarray(clipped, dtype=bool), channels.shape)
     reblurred = np.stack([signal.fftconvolve(channel, kernel, mode="valid") for channel in latent])
     squares = ((reblurred - channels[window]) ** 2)[usable[window]]
     if not squares.size:

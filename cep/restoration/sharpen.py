@@ -243,11 +243,12 @@ def restore_chosen(
     """
     channels = channels_first(fill_clipped(photo, psf))
     size_px = channels[0].size
-    method, factor = _suitable_method(photo, psf, trusted)
-    if method == "pnp" and size_px <= (LARGEST_PX if trusted else LARGE_PX):
+    is_right = _evidence(photo, psf).explains(trusted=trusted)
+    if is_right and size_px <= (LARGEST_PX if trusted else LARGE_PX):
         return pnp(channels_last(channels), psf, progress=progress), "pnp"
     if size_px <= LARGE_PX:
         # TV divides the photo by the light that came in, and its noise with it
+        factor = 1.0 if is_right else _WRONG_TV
         weight = factor * _tv_weight(noise_sigma(channels.mean(axis=0)) / float(np.sum(psf)))
         jobs = [partial(tv, channel, psf, weight=weight) for channel in channels]
         return channels_last(np.stack(side_by_side(jobs))), "tv"
@@ -274,25 +275,26 @@ def restore_chosen(
 
 @dataclass(frozen=True)
 class _Evidence:
-    """What a PSF leaves of a crop: residual and noise, full scale; the others of its contrast."""
+    """What a PSF leaves of a crop: residual, impossible light, and noise, beside its contrast."""
 
     residual: float
-    noise: float
     impossible: float
+    noise: float
     contrast: float
 
+    def explains(self, *, trusted: bool) -> bool:
+        """Whether both are as little as a right PSF leaves; of one rather known, with credit."""
+        residual = self.residual / self.noise
+        impossible = self.impossible / self.contrast
+        if trusted:
+            residual /= _CREDIT_RESIDUAL
+            impossible /= _CREDIT_IMPOSSIBLE
+        return residual <= _WRONG and impossible <= _LITTLE_IMPOSSIBLE
 
-def _suitable_method(photo: ArrayLike, psf: ArrayLike, trusted: bool) -> tuple[str, float]:
-    """Name of the method, and the factor of TV's weight, as the evidence of a crop has them."""
-    evidence = _evidence(photo, psf)
-    residual = evidence.residual / evidence.noise
-    impossible = evidence.impossible / max(evidence.contrast, LEAST_SIGMA)
-    if trusted:
-        residual /= _CREDIT_RESIDUAL
-        impossible /= _CREDIT_IMPOSSIBLE
-    if residual > _WRONG or impossible > _LITTLE_IMPOSSIBLE:
-        return "tv", _WRONG_TV
-    return "pnp", 1.0
+    @property
+    def unexplained(self) -> float:
+        """Both together, as a share of the contrast."""
+        return (self.residual + self.impossible) / self.contrast
 
 
 def looks_linear(photo: ArrayLike, psf: ArrayLike) -> bool:
@@ -317,22 +319,11 @@ def looks_linear(photo: ArrayLike, psf: ArrayLike) -> bool:
     >>> looks_linear(light, kernel), looks_linear(to_linear(light), kernel)
     (False, True)
     """
-    as_light, explains = _unexplained(to_display(np.clip(photo, 0, 1)), psf)
-    as_read, _ = _unexplained(photo, psf)
-    return explains and bool(as_read > np.exp(_CLEARLY) * as_light)  # a wrong PSF fits neither
-
-
-def _unexplained(photo: ArrayLike, psf: ArrayLike) -> tuple[float, bool]:
-    """Residual and impossible light, as a share of a crop's contrast, and whether they are as
-    little as of a PSF that is rather known than estimated.
-    """
-    evidence = _evidence(photo, psf)
-    contrast = max(evidence.contrast, LEAST_SIGMA)
-    explains = (
-        evidence.residual <= _CREDIT_RESIDUAL * _WRONG * evidence.noise
-        and evidence.impossible <= _CREDIT_IMPOSSIBLE * _LITTLE_IMPOSSIBLE * contrast
-    )
-    return (evidence.residual + evidence.impossible) / contrast, explains
+    as_light = _evidence(to_display(np.clip(photo, 0, 1)), psf)
+    as_read = _evidence(photo, psf)
+    # a wrong PSF fits neither
+    is_clear = as_read.unexplained > np.exp(_CLEARLY) * as_light.unexplained
+    return as_light.explains(trusted=True) and bool(is_clear)
 
 
 def _evidence(photo: ArrayLike, psf: ArrayLike) -> _Evidence:
@@ -346,7 +337,7 @@ def _evidence(photo: ArrayLike, psf: ArrayLike) -> _Evidence:
         residual=misfit(filled, restored, psf, clipped=clipped),
         noise=sigma,
         impossible=light * _impossible(lights_cut(restored, clipped, psf)),
-        contrast=float(np.std(filled)),
+        contrast=max(float(np.std(filled)), LEAST_SIGMA),
     )
 
 

@@ -237,7 +237,7 @@ def unplayable(bits: str, profile: DeviceProfile | None, chip_ns: int) -> str:
     """Say why the device cannot play a code; empty where it can, or none was named."""
     if profile is None:
         return ""
-    problems = profile.check(Program.from_bits(bits, chip_ns=chip_ns))
+    problems = profile.check(Program(bits, chip_ns=chip_ns))
     if not problems:
         return ""
     return f"no code was found that the device can play: {'; '.join(problems)}"

@@ -11,7 +11,6 @@ from cep.optics.code import ShutterCode
 from cep.shutter.rig import HEARTBEAT_S, LEASE_MS
 from hw.cxp.protocol import State
 from hw.drivers.cxp import Controller
-from hw.program import Program
 
 _LOOK_S = 0.001
 
@@ -64,7 +63,7 @@ def play_on_triggers(
         As :func:`cep.shutter.shoot.shoot`; the shutter is closed.
     """
     with Controller.open(port) as controller:
-        controller.upload(Program.from_bits(code.bits, chip_ns=code.chip_ns))
+        controller.upload(code)
         start = controller.status()
         start_s = last_s = beat_s = time.monotonic()
         count = 0

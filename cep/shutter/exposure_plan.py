@@ -130,7 +130,7 @@ class ExposurePlan:
             least_s = max(least_s, settings.profile.least_stated_s(play_s))
         return cls(
             release=release,
-            program=Program.from_bits("0" * closed_chips + code.bits, chip_ns=code.chip_ns),
+            program=Program("0" * closed_chips + code.bits, chip_ns=code.chip_ns),
             lead_ns=lead_ns,
             wait_s=wait_s,
             play_s=play_s,

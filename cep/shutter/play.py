@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Self, TypeVar
+from typing import TypeVar
 
 from cep.optics.code import ShutterCode
-from hw.cxp.protocol import Status
 from hw.device import DeviceProfile, load_profile
 from hw.drivers import DRIVERS, Driver, UploadReport
-from hw.drivers.driver import LEASE_MS
 from hw.export import export_program, find_exporter
 from hw.program import Program
 
@@ -22,88 +20,11 @@ Timed = TypeVar("Timed", ShutterCode, Program)
 _LAST_EDGE_S = 2.0  # an emulated clock may lag behind
 
 
-class Shutter:
-    """An opened shutter controller; :func:`open_shutter` makes it.
+def open_shutter(port: str, *, driver: str = "cxp") -> Driver:
+    """Open a shutter controller: a context manager that closes the shutter on an exception.
 
-    Use it as a context manager: left by an exception it closes and disarms the shutter.
-
-    Attributes
-    ----------
-    driver : hw.drivers.Driver
-    """
-
-    def __init__(self, driver: Driver) -> None:
-        self.driver = driver
-
-    def upload(
-        self,
-        code: ShutterCode,
-        *,
-        profile: DeviceProfile | str | None = None,
-        arm: bool = False,
-        play: bool = False,
-        lease_ms: int = LEASE_MS,
-        clock_ppm: float = 0.0,
-    ) -> UploadReport:
-        """Load a code, read it back where the device can be asked, and arm or play it if wanted.
-
-        Parameters
-        ----------
-        code : ShutterCode
-        profile : DeviceProfile or str, optional
-            Limits of the shutter, or their name as of :func:`hw.device.load_profile`; checked
-            before anything is sent.
-        arm : bool
-            The next trigger plays the code.
-        play : bool
-            Play it once, now, and wait for its end; it is not armed afterwards.
-        lease_ms : int
-            An armed "cxp" controller disarms itself after this; other devices stay armed until the
-            next upload.
-        clock_ppm : float
-            By how much the clock of a "cxp" controller is fast, as ``cep hw calibrate`` finds it.
-
-        Raises
-        ------
-        ValueError
-            If the shutter or the device cannot play the code: the line lists every limit it
-            breaks. Nothing was sent.
-        hw.errors.DeviceError, hw.port.LinkError, hw.errors.VerifyError
-            If the device refuses, stops answering, or holds another program than it was sent.
-        """
-        limits = load_profile(profile) if isinstance(profile, str) else profile
-        armed_to_play = self.driver.capabilities.armed_to_play
-        report = self.driver.upload(
-            Program.from_bits(code.bits, chip_ns=code.chip_ns),
-            profile=limits,
-            arm=arm or (play and armed_to_play),  # some devices only play what is armed
-            lease_ms=lease_ms,
-            clock_ppm=clock_ppm,
-        )
-        if play:
-            self.driver.play()
-            if armed_to_play:  # the play used up the arming
-                report = replace(report, armed=False, lease_ms=None)
-        return report
-
-    def play(self) -> Status | None:
-        """Play the armed code once, and wait for its end."""
-        return self.driver.play()
-
-    def abort(self) -> Status | None:
-        """Close the shutter and disarm; raises where the device does not confirm it."""
-        return self.driver.abort()
-
-    def __enter__(self) -> Self:
-        self.driver.__enter__()
-        return self
-
-    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        self.driver.__exit__(kind, error, trace)
-
-
-def open_shutter(port: str, *, driver: str = "cxp") -> Shutter:
-    """Open a shutter controller.
+    It can ``upload`` a code, and arm or play it; ``play`` what is armed; and ``abort``:
+    :class:`hw.drivers.driver.Driver`.
 
     Parameters
     ----------
@@ -126,7 +47,7 @@ def open_shutter(port: str, *, driver: str = "cxp") -> Shutter:
     """
     if driver not in DRIVERS:
         raise ValueError(f"driver: must be one of {', '.join(DRIVERS)}, got {driver[:40]!r}")
-    return Shutter(DRIVERS[driver].open(port))
+    return DRIVERS[driver].open(port)
 
 
 def on_ticks(code: Timed, tick_ns: int) -> tuple[Timed, tuple[str, ...]]:
@@ -188,7 +109,7 @@ def export_code(
     """
     profile = load_profile(device) if isinstance(device, str) else device
     exporter = find_exporter(file_format)
-    whole_ns = Program.from_bits(code.bits, chip_ns=code.chip_ns)
+    whole_ns = Program(code.bits, chip_ns=code.chip_ns)
     program, warnings = on_ticks(whole_ns, exporter.tick_ns)
     if profile is not None and (problems := profile.check(program)):
         raise ValueError("device: the code cannot be played: " + "; ".join(problems))
@@ -196,25 +117,16 @@ def export_code(
     return ExportedCode(exporter.file_name("code"), text, program, warnings)
 
 
-@dataclass(frozen=True)
-class EmulatedPlay:
-    """A code as an emulated controller played it.
+def play_emulated(
+    code: ShutterCode, *, profile: DeviceProfile | None = None
+) -> tuple[UploadReport, tuple[tuple[int, int], ...]]:
+    """Load a code into an emulated Uno with the shipped firmware, read it back, and play it once.
 
-    Attributes
-    ----------
+    Returns
+    -------
     report : UploadReport
     edges_ns : tuple of (int, int)
         Time after the first opening, ns, and the level of its shutter output from then on.
-    """
-
-    report: UploadReport
-    edges_ns: tuple[tuple[int, int], ...]
-
-
-def play_emulated(
-    code: ShutterCode, *, profile: DeviceProfile | str | None = None
-) -> EmulatedPlay:
-    """Load a code into an emulated Uno with the shipped firmware, read it back, and play it once.
 
     Raises
     ------
@@ -238,6 +150,6 @@ def play_emulated(
     finally:
         uno.stop()
     first = edges[0][0] if edges else 0
-    return EmulatedPlay(
-        report, tuple((round((cycle - first) * 1e9 / CLOCK_HZ), level) for cycle, level in edges)
+    return report, tuple(
+        (round((cycle - first) * 1e9 / CLOCK_HZ), level) for cycle, level in edges
     )

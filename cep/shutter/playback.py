@@ -138,10 +138,7 @@ class Playback:
         play = self.plays[0]
         files = playback_files(output, with_psf=motion is not None)
         with new_folder(output.parent, [file.name for file in files], force=force) as folder:
-            about = {
-                "played": play.verdict,
-                "device": device and device.to_dict(),
-            }
+            about = {"played": play.verdict, "device": device and device.to_dict()}
             write_code(folder / output.name, StoredCode(self.code, problem=about))
             if motion is not None:
                 # A slow clock goes on beyond the motion that was asked for.
@@ -193,14 +190,14 @@ def read_playback(
     >>> code = ShutterCode("110100100011", chip_ns=200_000)
     >>> with TemporaryDirectory() as folder:
     ...     file = Path(folder, "played.vcd")
-    ...     program = Program.from_bits(code.bits, chip_ns=code.chip_ns)
+    ...     program = Program(code.bits, chip_ns=code.chip_ns)
     ...     _ = file.write_text(EXPORTERS["vcd"].export(program))
     ...     found = read_playback(file, code)
     >>> found.code == code, round(float(found.psf(Trajectory.straight(20.0)).sum()), 6)
     (True, 0.5)
     """
     if isinstance(program, ShutterCode):
-        program = Program.from_bits(program.bits, chip_ns=program.chip_ns)
+        program = Program(program.bits, chip_ns=program.chip_ns)
     recording = read_capture(capture)
     trace = recording.trace(signal)
     trigger_trace = recording.trace(trigger) if trigger else None

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from cep.files.formatting import duration
@@ -19,6 +18,7 @@ from cep.shutter.twin import TwinCamera
 from hw.cameras.camera import Camera, CameraSettings, Frame, FrameLostError, Trigger
 from hw.cxp.protocol import State, Status
 from hw.drivers.cxp import Controller
+from motdiff.types import FloatArray
 
 LEASE_MS = 1000
 """An armed controller disarms itself after this without its host, ms."""
@@ -50,6 +50,11 @@ class Shot:
     def counts(self) -> bool:
         """Whether the photo was taken through the whole code, once."""
         return self.record.counts
+
+    @property
+    def light(self) -> FloatArray:
+        """Linear light of the photo, 1 at white."""
+        return self.record.light(self.frame.values)
 
     @property
     def verdict(self) -> str:
@@ -185,7 +190,8 @@ class Rig:
             self.camera.wait_ready(_READY_S)  # a trigger that comes earlier is lost
             self.camera.fire()
             return self._checked(prepared, self.camera.read(wait_s), plays=None, missed=None)
-        with _closed_on_failure(self.controller):
+        # the shutter closes at once when anything fails, before the camera is waited for
+        with self.controller.link.aborted_on_error():
             before = self.controller.status()
             # the camera first: the shutter must not play before it can expose
             self.camera.arm()
@@ -312,16 +318,6 @@ class Rig:
             record = replace(record, noise=_at_white(record.noise, record))
         warnings = (*self._doubts(prepared), *_warnings(frame))
         return Shot(frame=frame, record=record, warnings=warnings)
-
-
-@contextmanager
-def _closed_on_failure(controller: Controller) -> Iterator[None]:
-    """Close the shutter at once when anything fails, before the camera is waited for."""
-    try:
-        yield
-    except BaseException as error:
-        controller.link.abort_after(error)
-        raise
 
 
 def _played(controller: Controller, before: Status, plan: ExposurePlan, wait_s: float) -> Status:

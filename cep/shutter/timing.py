@@ -12,13 +12,7 @@ from cep.optics.camera import Camera as CameraProfile
 from cep.plots.camera import exposure_window_figure
 from cep.plots.canvas import save as save_figure
 from cep.shutter.exposure_fit import ExposureTiming, Flashes
-from cep.shutter.exposure_sweep import (
-    MOST_FRAMES,
-    Exposed,
-    ExposureSweep,
-    Flash,
-    flash_program,
-)
+from cep.shutter.exposure_sweep import MOST_FRAMES, Exposed, ExposureSweep, Flash, flash_program
 from cep.shutter.release import Release, checked_release
 from cep.shutter.rig import LEASE_MS, Rig
 from cep.shutter.shoot import open_rig
@@ -224,7 +218,7 @@ class _Bench:
         program = flash_program(flash, self.limits)
         controller, camera = self._controller, self._camera
         controller.upload(program)
-        try:
+        with controller.link.aborted_on_error():
             camera.arm()
             camera.wait_ready(_READY_S)
             controller.arm(lease_ms=LEASE_MS)
@@ -234,9 +228,6 @@ class _Bench:
                 controller.trigger()
             controller.wait(timeout_s=program.duration_ns * 1.1e-9 + 2)
             frame = camera.read(self.stated_s + _READOUT_S)
-        except BaseException as error:
-            controller.link.abort_after(error)
-            raise
         if not self.starts_ns:
             self.black_share = float(np.mean(frame.values == 0))
         self.starts_ns.append(frame.timestamp_ns)

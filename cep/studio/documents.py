@@ -15,13 +15,7 @@ from cep.studio.catalogue import shutter_name
 from cep.studio.fields import FieldError, nameless
 from cep.studio.state import described_paths, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
-from motdiff.files.json_files import (
-    fault,
-    json_text,
-    load_schema,
-    read_versioned,
-    stated_schema,
-)
+from motdiff.files.json_files import fault, json_text, load_schema, read_versioned, stated_schema
 from motdiff.files.outputs import claim_folder, new_folder, write_text
 from motdiff.files.trajectories import read_motion, stated_uncertainty_px
 from motdiff.gyro import DEFAULT_AXES, trajectory_from_gyro

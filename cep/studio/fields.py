@@ -13,11 +13,7 @@ from typing import Any, TypeGuard
 
 MOST_CHIPS = 512  # of a code on the page
 # of a code's runs, as RunLimits and the page's fields name them, with their units
-LIMITS = {
-    "min_open": "chips",
-    "min_closed": "chips",
-    "max_pulses": "openings",
-}
+LIMITS = {"min_open": "chips", "min_closed": "chips", "max_pulses": "openings"}
 # fields of the page that set what an error of the library begins with
 _FIELD_OF = {
     "bits": "bits",

@@ -303,7 +303,7 @@ def broken_limits(
     """
     reasons: list[str] = []
     if device is not None:
-        reasons += device.check(Program.from_bits(code.bits, chip_ns=problem.chip_ns))
+        reasons += device.check(Program(code.bits, chip_ns=problem.chip_ns))
     if reasons or problem.allows(code):
         return tuple(reasons)
     bits = code.array[None].astype(np.int8)

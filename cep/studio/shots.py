@@ -55,7 +55,7 @@ def shoot(order: Mapping[str, Any], tell: Callable[..., None]) -> Mapping[str, A
     except RuntimeError as error:  # of the camera, the controller or the line between
         raise FieldError("shot_camera", f"nothing was taken: {_line(error)}") from None
     light = FrameLight.of(shot.frame)
-    linear = shot.record.light(shot.frame.values)
+    linear = shot.light
     rows, columns = linear.shape[:2]
     about = {
         "photo": order["photo"],

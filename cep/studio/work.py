@@ -16,13 +16,7 @@ from typing import Any
 import numpy as np
 
 from cep.studio.fields import FieldError, nameless, writing
-from cep.studio.photo_files import (
-    PREVIEW_PX,
-    beside,
-    read_motion,
-    write_motion,
-    write_preview,
-)
+from cep.studio.photo_files import PREVIEW_PX, beside, read_motion, write_motion, write_preview
 from cep.studio.shots import shoot
 from cep.studio.state import described_paths, read_search, read_setting
 from motdiff.files.json_files import plain
@@ -261,9 +255,7 @@ def _play(order: Order, tell: Tell) -> Mapping[str, Any]:
     try:
         if port == "emulated":
             tell(0.1, "starting the emulated controller")
-            played = play_emulated(code, profile=setting.profile)
-            report = played.report
-            edges = played.edges_ns
+            report, edges = play_emulated(code, profile=setting.profile)
         else:
             tell(0.1, "opening the controller")
             with cep.open_shutter(port) as shutter:

@@ -11,10 +11,7 @@ from hw.cameras.camera import Camera
 __all__ = ["CAMERAS", "Camera", "camera_class", "open_camera"]
 
 CAMERAS: Mapping[str, str] = MappingProxyType(
-    {
-        "aravis": "hw.cameras.aravis:AravisCamera",
-        "pylon": "hw.cameras.pylon:PylonCamera",
-    }
+    {"aravis": "hw.cameras.aravis:AravisCamera", "pylon": "hw.cameras.pylon:PylonCamera"}
 )
 """Kind of camera to ``module:Class`` of its adapter, which is imported when the kind is named.
 

@@ -8,14 +8,7 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import ClassVar, Protocol
 
-from hw.cameras.camera import (
-    Camera,
-    CameraError,
-    CameraSettings,
-    Frame,
-    FrameLostError,
-    Trigger,
-)
+from hw.cameras.camera import Camera, CameraError, CameraSettings, Frame, FrameLostError, Trigger
 from hw.cameras.pixel_formats import PixelFormat, deepest, pixel_format
 
 SETTLING_S = 0.1

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import atexit
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Self
 
 from hw.cxp.framing import BINARY, TEXT, FrameError, Framing
@@ -163,6 +165,17 @@ class Link:
         note = f"{self.name} did not confirm ABORT: the shutter may still be open"
         if not self.abort() and note not in getattr(error, "__notes__", ()):
             error.add_note(note)
+
+    @contextmanager
+    def aborted_on_error(self, *but: type[BaseException]) -> Iterator[None]:
+        """Send ABORT at once where anything but these errors leaves the context."""
+        try:
+            yield
+        except but:
+            raise
+        except BaseException as error:
+            self.abort_after(error)
+            raise
 
     def _leave(self) -> None:
         if self._answerable:

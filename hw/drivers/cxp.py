@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import ClassVar, Self
 
 from hw.cxp.framing import FrameError
@@ -23,7 +23,7 @@ from hw.cxp.protocol import (
     unpack_stored,
 )
 from hw.device import DeviceProfile, refusal
-from hw.drivers.driver import LEASE_MS, Capabilities, Trust, UploadReport
+from hw.drivers.driver import LEASE_MS, Capabilities, Driver, Trust, UploadReport
 from hw.errors import DeviceError, VerifyError, WrongStateError
 from hw.port import LinkError, PortError, PortInfo, list_ports
 from hw.program import Program
@@ -33,7 +33,7 @@ PROVEN_FIRMWARE = frozenset({"cxp-avr 1", "cxp-rp2040 1"})
 _ASKED_S = 2.5  # each port: a board that its opening resets answers late
 
 
-class Controller:
+class Controller(Driver):
     """A CXP1 shutter controller on an open link.
 
     Every change is confirmed by the controller's status afterwards. Left by an exception, as a
@@ -113,19 +113,15 @@ class Controller:
             )
         return problems + profile.check(program)
 
-    def upload(
+    def _upload(
         self,
         program: Program,
         *,
-        profile: DeviceProfile | None = None,
-        arm: bool = False,
-        lease_ms: int = LEASE_MS,
-        clock_ppm: float = 0.0,
+        profile: DeviceProfile | None,
+        arm: bool,
+        lease_ms: int,
+        clock_ppm: float,
     ) -> UploadReport:
-        """Check a program, load it, read it back, and arm if wanted.
-
-        As :meth:`hw.drivers.driver.Driver.upload`.
-        """
         problems = self.check(program, profile=profile)
         if problems:
             raise ValueError(refusal(problems, self.limits))
@@ -133,16 +129,12 @@ class Controller:
         start_s = time.monotonic()
         retries = self.link.retries
         armed = False
-        try:
+        # in a wrong state it is armed or playing for another host: it is left as it is
+        with self.link.aborted_on_error(WrongStateError):
             self.load(program, clock_ppm=clock_ppm)
             self.verify(program, clock_ppm=clock_ppm)
             if arm:
                 armed = self._armed(payload, self.status()).state is State.ARMED
-        except WrongStateError:
-            raise  # it is armed or playing for another host: leave it as it is
-        except BaseException as error:
-            self.link.abort_after(error)
-            raise
         return UploadReport(
             port=self.link.name,
             program=program,
@@ -317,9 +309,6 @@ class Controller:
         """Close the port without sending anything."""
         self.link.close()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         self.link.__exit__(kind, error, trace)
 
@@ -350,17 +339,10 @@ class Controller:
             # what cannot be read verifies nothing
             raise VerifyError(f"{self.link.name}: {error}") from None
 
-    @contextmanager
-    def _closed_on_doubt(self) -> Iterator[None]:
-        try:
-            yield
-        except DeviceError:
-            raise  # refused: nothing changed in the device
-        except BaseException as error:
-            # No reply, or a wrong one: it may or may not be armed or open, and closed is the only
-            # safe guess.
-            self.link.abort_after(error)
-            raise
+    def _closed_on_doubt(self) -> AbstractContextManager[None]:
+        # No reply, or a wrong one: it may or may not be armed or open, and closed is the only safe
+        # guess. Where it refuses, nothing changed in it.
+        return self.link.aborted_on_error(DeviceError)
 
 
 def ask_ports() -> tuple[tuple[PortInfo, Hello | str], ...]:

@@ -152,8 +152,36 @@ class ScpiAwg(WriteOnlyDevice):
 
     @classmethod
     def open(cls, resource: str, *, backend: str = "@py", timeout_s: float = 3.0) -> Self:
-        """Open an instrument and check its identity; parameters and errors as `open_scpi`."""
-        link = open_scpi(resource, backend=backend, timeout_s=timeout_s)
+        """Open a VISA resource, and check the identity of the instrument.
+
+        Parameters
+        ----------
+        resource : str
+            VISA name, as ``TCPIP::192.168.0.7::5025::SOCKET`` or
+            ``USB0::0x0957::0x2C07::MY52800000::INSTR``.
+        backend : str
+            VISA library: ``@py`` is pyvisa-py, an empty text the one of the system.
+        timeout_s : float
+            How long to wait for an answer.
+        """
+        if not timeout_s > 0:
+            raise ValueError(f"timeout_s is {timeout_s}: above 0 is needed")
+        try:
+            import pyvisa
+        except ImportError:
+            raise PortError(
+                f"{resource} needs an extra: pip install coded-exposure[visa]"
+            ) from None
+        try:
+            # VISA counts ms; on a socket nothing but a line feed ends a message
+            instrument = pyvisa.ResourceManager(backend).open_resource(
+                resource, timeout=1000 * timeout_s, read_termination="\n", write_termination="\n"
+            )
+        except Exception as error:  # VisaIOError, ValueError, OSError or a bare Exception
+            raise PortError(
+                f"{resource} cannot be opened: {one_line(error)}; name a VISA resource"
+            ) from None
+        link = ScpiLink(instrument, name=resource)
         try:
             return cls(link)
         except BaseException:
@@ -246,39 +274,6 @@ class ScpiAwg(WriteOnlyDevice):
                 f"{self.name} says {answer[:40]!r} to {question}: it is not armed, look at the"
                 " instrument"
             )
-
-
-def open_scpi(resource: str, *, backend: str = "@py", timeout_s: float = 3.0) -> ScpiLink:
-    """Open a VISA resource; PortError if pyvisa is missing, or the resource cannot be opened.
-
-    Parameters
-    ----------
-    resource : str
-        VISA name, as ``TCPIP::192.168.0.7::5025::SOCKET`` or
-        ``USB0::0x0957::0x2C07::MY52800000::INSTR``.
-    backend : str
-        VISA library: ``@py`` is pyvisa-py, an empty text the one of the system.
-    timeout_s : float
-        How long to wait for an answer.
-    """
-    if not timeout_s > 0:
-        raise ValueError(f"timeout_s is {timeout_s}: above 0 is needed")
-    try:
-        import pyvisa
-    except ImportError:
-        raise PortError(f"{resource} needs an extra: pip install coded-exposure[visa]") from None
-    try:
-        # VISA counts ms; on a socket nothing but a line feed ends a message
-        instrument = pyvisa.ResourceManager(backend).open_resource(
-            resource, timeout=1000 * timeout_s, read_termination="\n", write_termination="\n"
-        )
-    except (
-        Exception
-    ) as error:  # VisaIOError, ValueError, OSError or a bare Exception, by backend and bus
-        raise PortError(
-            f"{resource} cannot be opened: {one_line(error)}; name a VISA resource"
-        ) from None
-    return ScpiLink(instrument, name=resource)
 
 
 def _identity(link: ScpiLink) -> str:

@@ -5,19 +5,19 @@ from __future__ import annotations
 import atexit
 import contextlib
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from typing import ClassVar, Self
+from typing import ClassVar
 
 from hw.device import DeviceProfile
-from hw.drivers.driver import LEASE_MS, Capabilities, Trust, UploadReport
+from hw.drivers.driver import Driver, Trust, UploadReport
 from hw.errors import WrongStateError
 from hw.program import Program
 
 _MARGIN_S = 0.01  # from the command to the first edge
 
 
-class WriteOnlyDevice(ABC):
+class WriteOnlyDevice(Driver):
     """Base of drivers for devices without read-back or status: their trust is B.
 
     The uploaded program and the end of a play are known to this driver only. So only a program
@@ -31,7 +31,6 @@ class WriteOnlyDevice(ABC):
         Name of the port or resource, for messages.
     """
 
-    capabilities: ClassVar[Capabilities] = Capabilities()
     limits: ClassVar[tuple[Callable[[Program], object], ...]]
     """Functions that raise ValueError for a program that the device cannot play."""
 
@@ -64,19 +63,15 @@ class WriteOnlyDevice(ABC):
             return problems
         return problems + profile.check(program)
 
-    def upload(
+    def _upload(
         self,
         program: Program,
         *,
-        profile: DeviceProfile | None = None,
-        arm: bool = False,
-        lease_ms: int = LEASE_MS,  # noqa: ARG002 - these devices stay armed until the next upload
-        clock_ppm: float = 0.0,
+        profile: DeviceProfile | None,
+        arm: bool,
+        lease_ms: int,  # noqa: ARG002 - these devices stay armed until the next upload
+        clock_ppm: float,
     ) -> UploadReport:
-        """Check a program, abort a running one, store the program, and arm if wanted.
-
-        As :meth:`hw.drivers.driver.Driver.upload`; the report's trust is B.
-        """
         if clock_ppm:
             raise ValueError(
                 "clock_ppm: this device cannot stretch chips, only cxp controllers do"
@@ -152,15 +147,12 @@ class WriteOnlyDevice(ABC):
         atexit.unregister(self._leave)
         self._disconnect()
 
-    def __enter__(self) -> Self:
-        return self
-
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         if error is not None:
             self._abort_after(error)
         self.close()
 
-    def status(self) -> None:  # noqa: B027 - the same for all of them
+    def status(self) -> None:
         """Return nothing: these devices cannot be asked."""
 
     @property

@@ -59,7 +59,7 @@ def export_program(
 
     Examples
     --------
-    >>> print(export_program(Program.from_bits("101", chip_ns=1000), "csv").rstrip())
+    >>> print(export_program(Program("101", chip_ns=1000), "csv").rstrip())
     # format: hw.csv/1
     # chip_ns: 1000
     # chips: 3

@@ -36,19 +36,16 @@ class PulseTrain:
     delay_cycles : int
         Train delay: the closed chips before the first open one.
     train_cycles : int
-        Train duration, past the end of the last pulse.
-    guard_cycles : int
-        A time past the end. The firmware compares the last onset with the entry behind it, which
-        it never clears: a time left there by an earlier, longer train can cut the last pulse short
-        or keep it open for ever. Therefore send ``(*onsets_cycles, guard_cycles)`` first and
-        ``onsets_cycles`` alone afterwards.
+        Train duration, past the end of the last pulse. The firmware compares the last onset with
+        the entry behind it, which it never clears: a time left there by an earlier, longer train
+        can cut the last pulse short or keep it open for ever. Therefore send
+        ``(*onsets_cycles, train_cycles)`` first and ``onsets_cycles`` alone afterwards.
     """
 
     phase_cycles: int
     onsets_cycles: tuple[int, ...]
     delay_cycles: int
     train_cycles: int
-    guard_cycles: int
 
 
 def pulse_train(program: Program, /) -> PulseTrain:
@@ -81,7 +78,7 @@ def pulse_train(program: Program, /) -> PulseTrain:
         )
     # The train begins with the first pulse; the closed chips before it are its delay.
     first = onsets[0]
-    return PulseTrain(phase, tuple(onset - first for onset in onsets), first, end, end)
+    return PulseTrain(phase, tuple(onset - first for onset in onsets), first, end)
 
 
 class PulsePalTrain(Exporter):
@@ -124,7 +121,7 @@ rest_volts = {rest_volts}  # parameter 17, closed
 [train]
 pulses = {len(train.onsets_cycles)}
 pulse_volts = {open_volts}  # of every pulse
-guard_cycles = {train.guard_cycles}
+guard_cycles = {train.train_cycles}
 onsets_cycles = [
 {onsets},
 ]

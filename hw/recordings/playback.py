@@ -10,8 +10,8 @@ from math import sqrt
 from statistics import fmean
 
 from hw.program import Program
+from hw.recordings.capture import Trace
 from hw.recordings.edge_fit import EdgeFit, fit_edges
-from hw.recordings.trace import Trace
 
 _GLITCH = 0.1  # of a chip: what is shorter is noise, not a chip
 _SLACK = 1.03  # a play may last that much longer than it should before the next is looked for
@@ -19,7 +19,7 @@ _CLOCKS = (0.8, 1.25)  # as much longer or shorter no clock makes a play: a fact
 _DRIFT_CHIPS = 0.25  # over the whole code; more is a visibly other blur
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
     """One recorded play of a program.
 
@@ -40,9 +40,8 @@ class Verification:
     widening_ns : float
         How much longer than by the fitted clock the openings last: slow closing, or a bias of the
         device.
-    matched, missing, extra : int
-        Edges found in their places, openings of the program not found, and openings found that it
-        has not.
+    missing, extra : int
+        Openings of the program not found, and openings found that it has not.
     glitches : int
         Pulses too short to be chips, passed over.
     latency_ns : float or None
@@ -55,15 +54,14 @@ class Verification:
     achieved: str
     same_bits: bool
     inverted: bool
-    scale_ppm: float
-    jitter_ns: float
-    worst_ns: float
-    widening_ns: float
-    matched: int
+    scale_ppm: float = 0.0
+    jitter_ns: float = 0.0
+    worst_ns: float = 0.0
+    widening_ns: float = 0.0
     missing: int
-    extra: int
+    extra: int = 0
     glitches: int
-    latency_ns: float | None
+    latency_ns: float | None = None
     problems: tuple[str, ...]
 
     @property
@@ -262,7 +260,6 @@ def _verification(
         jitter_ns=sqrt(fmean(x * x for x in fit.residuals)),
         worst_ns=max(abs(x) for x in fit.residuals),
         widening_ns=fit.close_at - fit.open_at,
-        matched=len(fit.pairs),
         missing=missing,
         extra=extra,
         glitches=glitches,
@@ -277,15 +274,8 @@ def _nothing(program: Program, inverted: bool, glitches: int, trigger_ns: float)
         achieved="0" * program.chips,
         same_bits=False,
         inverted=inverted,
-        scale_ppm=0.0,
-        jitter_ns=0.0,
-        worst_ns=0.0,
-        widening_ns=0.0,
-        matched=0,
         missing=program.pulses,
-        extra=0,
         glitches=glitches,
-        latency_ns=None,
         problems=(f"nothing opens after the trigger at {trigger_ns / 1e6:.6g} ms: was it armed?",),
     )
 

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from cep.codes import published as registry
-from cep.files.foreign_text import in_code_span
 from cep.files.tables import Sheet, csv_lines, latex, markdown_table
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import chip_noise_db
@@ -25,6 +24,7 @@ from lab.bench.harness import (
     Progress,
     Report,
     Request,
+    in_code_span,
     outcome_warnings,
     warning_lines,
 )

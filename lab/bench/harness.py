@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,6 +20,7 @@ from lab.bench.table_io import (
 )
 from lab.bench.tables import Table, TextTable
 from lab.jobs.engine import Engine, Outcome
+from motdiff.files.inputs import printable
 from motdiff.files.outputs import claim_folder, new_folder
 
 if TYPE_CHECKING:
@@ -235,3 +237,19 @@ def outcome_warnings(outcome: Outcome) -> list[str]:
 def warning_lines(warnings: Sequence[str]) -> list[str]:
     """Lines of Markdown, one item per warning."""
     return [f"\n- {markdown_text(warning)}" for warning in warnings]
+
+
+def in_code_span(text: str) -> str:
+    """Write a text in Markdown as code, between more backticks than it has.
+
+    Examples
+    --------
+    >>> in_code_span("cep mtf"), in_code_span("a`b")
+    ('`cep mtf`', '`` a`b ``')
+    """
+    visible = printable(text)
+    longest = max(map(len, re.findall("`+", visible)), default=0)
+    if longest == 0:
+        return f"`{visible}`"
+    fence = "`" * (longest + 1)
+    return f"{fence} {visible} {fence}"

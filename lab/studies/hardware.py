@@ -24,7 +24,7 @@ CYCLE_NS = 1e9 / CLOCK_HZ
 
 
 def load_times_s(loads: int) -> list[float]:
-    program = Program.from_bits(RASKAR, chip_ns=200_000)
+    program = Program(RASKAR, chip_ns=200_000)
     times = []
     with EmulatedUno() as uno, Controller.open(uno.port) as controller:
         for _ in range(loads):
@@ -37,7 +37,7 @@ def load_times_s(loads: int) -> list[float]:
 
 def trigger_latencies(triggers: int) -> list[int]:
     """Clock cycles from an edge on D2 to the opening of the first chip."""
-    program = Program.from_bits("1", chip_ns=50_000)
+    program = Program("1", chip_ns=50_000)
     with EmulatedUno(speed=0, noise_seed=1) as uno, Controller.open(uno.port) as controller:
         controller.load(program)
         for _ in range(triggers):
@@ -60,7 +60,7 @@ def edge_errors(codes: int) -> tuple[list[int], int]:
     with EmulatedUno(speed=0) as uno, Controller.open(uno.port) as controller:
         for _ in range(codes):
             bits = "1" + "".join(rng.choice("01") for _ in range(rng.randint(15, 511)))
-            program = Program.from_bits(bits, chip_ns=500 * round(100 * 20 ** rng.random()))
+            program = Program(bits, chip_ns=500 * round(100 * 20 ** rng.random()))
             before = len(uno.edges())
             controller.upload(program, arm=True)
             controller.trigger()

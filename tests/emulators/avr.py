@@ -116,7 +116,7 @@ def ideal_edges(stored: Stored) -> tuple[tuple[int, int], ...]:
     half = Fraction(1, 2)
     return tuple(
         (int(chip * stored.chip_ticks + half), level)
-        for chip, level in Program.from_bits(stored.bits, chip_ns=1).edges
+        for chip, level in Program(stored.bits, chip_ns=1).edges
     )
 
 

@@ -107,9 +107,7 @@ class _Block(nn.Module):
         return added.add_(features)
 
 
-def load_denoiser(
-    path: Path | str = SHIPPED,
-) -> Callable[[FloatArray, FloatArray], FloatArray]:
+def load_denoiser(path: Path | str = SHIPPED) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Return a file's denoiser: a function of images (C, H, W), each one period of its scene and
     denoised by itself, and the standard deviations (C,) of their noise.
 

@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from statistics import mean, median
 from typing import TYPE_CHECKING
 
-from cep.files.foreign_text import in_code_span, markdown_text
+from cep.files.foreign_text import markdown_text
 from lab.bench.coded.designs import DESIGNS
 from lab.bench.coded.estimates import ESTIMATORS
 from lab.bench.coded.picture import coded_figure
 from lab.bench.coded.protocol import CodedProtocol
 from lab.bench.coded.run import CodedTable
 from lab.bench.coded.tables import coded_tables, harmed, shots_csv
-from lab.bench.harness import Report, file_names, report_of_means, warning_lines
+from lab.bench.harness import Report, file_names, in_code_span, report_of_means, warning_lines
 from lab.bench.table_io import Provenance, means_in_words
 from lab.bench.tables import Table
 from lab.jobs.cells import Figure as Measured

@@ -229,7 +229,7 @@ def _displacement_px(psf: FloatArray, moved_psf: FloatArray) -> FloatArray:
 def _assumed_psf(photo: FloatArray, path: Trajectory, code: ShutterCode) -> FloatArray:
     if path.direction == "known" or code.bits == code.bits[::-1]:
         return coded_psf(path, code, path.frame_size(PSF_PX))
-    return detect_direction(photo, path, code, size=PSF_PX).psf
+    return detect_direction(photo, path, code).psf
 
 
 def choose_code(

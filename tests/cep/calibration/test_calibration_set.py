@@ -52,7 +52,7 @@ def test_the_device_can_play_every_code(device, photos, chip_ns):
         photos, chips=24, chip_ns=chip_ns, device=device, rng=np.random.default_rng(1)
     )
     for code in found.codes:
-        assert load_profile(device).check(Program.from_bits(code.bits, chip_ns=chip_ns)) == ()
+        assert load_profile(device).check(Program(code.bits, chip_ns=chip_ns)) == ()
     # flashes of a strobe last 33 ms at most, 24 chips of 3 ms last 72 ms: no photo can be open
     # throughout
     assert (found.sources[0] == "open") == (device != "led-strobe")

@@ -86,7 +86,7 @@ def test_the_device_can_play_every_code(stated):
     device = load_profile("mechanical")
     steps = list(calibration_steps(camera_of(bow()), chips=24, chip_ns=20_000_000, device=device))
     for code in steps[-1].codes[1:]:
-        assert device.check(Program.from_bits(code.bits, chip_ns=code.chip_ns)) == ()
+        assert device.check(Program(code.bits, chip_ns=code.chip_ns)) == ()
 
 
 def test_a_motion_shorter_than_what_counts_as_apart(stated, monkeypatch):

@@ -237,7 +237,7 @@ def test_ctrl_c_on_a_terminal_ends_an_emulation_with_all_that_its_pins_did(tmp_p
         while not link.is_symlink() and time.monotonic() < deadline:
             time.sleep(0.02)
         with Controller.open(str(link)) as controller:
-            controller.upload(Program.from_bits(RASKAR, chip_ns=200_000), arm=True)
+            controller.upload(Program(RASKAR, chip_ns=200_000), arm=True)
             controller.trigger()
             controller.wait(timeout_s=30)
         os.killpg(

@@ -198,7 +198,7 @@ def test_only_what_a_strobe_can_play_is_proposed(cep, lab, workplace):
             "open_range": [1, 8],
         }
         for bits in [found["bits"]] if isinstance(found["bits"], str) else found["bits"]:
-            program = Program.from_bits(bits, chip_ns=1_000_000)
+            program = Program(bits, chip_ns=1_000_000)
             assert load_profile("strobe.toml").check(program) == ()
     # the stricter one of device and option counts
     found = cep.succeeds("optimize", *options, "--steps", "3000", "--max-pulses", "2")

@@ -19,7 +19,6 @@ from cep.commands.console import Table, announce, print_page, progress
 from cep.files.code_files import StoredCode, write_code
 from cep.files.foreign_text import (
     csv_text,
-    in_code_span,
     latex_text,
     markdown_text,
     plot_text,
@@ -72,7 +71,7 @@ def test_the_bar_takes_no_markup(monkeypatch, name):
 
 @given(st.text(max_size=20))
 def test_any_text_is_one_printable_line(text):
-    for made in (terminal_line, csv_text, latex_text, markdown_text, plot_text, in_code_span):
+    for made in (terminal_line, csv_text, latex_text, markdown_text, plot_text):
         shown = made(text)
         assert shown.isprintable()
         shown.encode("utf-8")
@@ -109,10 +108,6 @@ def test_markdown_and_latex_keep_their_lines(tmp_path, name):
         assert not row.startswith(("[", "*"))  # an option of the row before
     for suffix in (".md", ".tex", ".csv"):
         write_sheets([sheet], tmp_path / f"t{suffix}")
-
-
-def test_code_in_markdown_ends_where_it_ends():
-    assert in_code_span("a `b` ``c``") == "``` a `b` ``c`` ```"
 
 
 @pytest.mark.parametrize("name", HOSTILE, ids=ascii)

@@ -13,8 +13,8 @@ from motdiff.trajectory import Trajectory
 BRIGHT = Camera(photons_full_scale=1e7, read_noise_e=1e-3, bits=16)
 
 
-def trial(path, count=2, *, camera=BRIGHT, restore=None, **options):
-    return PhotoTrial([path], photographs()[:count], camera=camera, restore=restore, **options)
+def trial(path, count=2, *, camera=BRIGHT, **options):
+    return PhotoTrial([path], photographs()[:count], camera=camera, **options)
 
 
 def unrestored(photo, psf, *, camera):

@@ -78,10 +78,6 @@ def test_values_of_clipped_pixels_do_not_matter():
     np.testing.assert_array_equal(fill_clipped(other, PSF), fill_clipped(PHOTO, PSF))
     np.testing.assert_array_equal(restore(other, PSF).image, restore(PHOTO, PSF).image)
     assert misfit(other, PHOTO, PSF) == misfit(PHOTO, PHOTO, PSF)
-    dark = np.where(CLIPPED, 0.2, PHOTO)
-    np.testing.assert_array_equal(
-        fill_clipped(dark, PSF, clipped=CLIPPED), fill_clipped(PHOTO, PSF)
-    )
 
 
 def test_the_fill_does_not_depend_on_the_scale_of_the_psf_and_is_per_channel():

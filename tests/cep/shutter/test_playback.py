@@ -13,7 +13,7 @@ from hw.program import Program
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-PROGRAM = Program.from_bits("110100100011", chip_ns=200_000)
+PROGRAM = Program("110100100011", chip_ns=200_000)
 PATH = Trajectory.straight(20.0)
 
 
@@ -44,7 +44,7 @@ def test_a_code_with_its_chip_time_is_a_program(recording):
 
 
 def test_a_play_of_another_code_is_told_by_its_number(recording):
-    other = Program.from_bits("110100100001", chip_ns=200_000)
+    other = Program("110100100001", chip_ns=200_000)
     found = read_playback(recording, other, signal="shutter")
     assert list(found.wrong) == [1]
     assert not found.to_dict()["played"]

@@ -13,7 +13,7 @@ from hw.port import LinkError, PortError, open_port
 from hw.program import Program
 
 FAST = {"timeout_s": 0.05, "attempts": 40}
-PROGRAM = Program.from_bits("101100000111", chip_ns=200_000)
+PROGRAM = Program("101100000111", chip_ns=200_000)
 
 
 HELLO_DATA = (

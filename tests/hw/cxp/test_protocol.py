@@ -155,7 +155,7 @@ UNO = Hello(
     firmware="cxp-avr 1",
 )
 WHOLE = replace(UNO, fractions=False)
-PROGRAM = Program.from_bits("101100000111", chip_ns=200_000)
+PROGRAM = Program("101100000111", chip_ns=200_000)
 
 
 def test_layout_and_crc():

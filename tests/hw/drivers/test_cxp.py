@@ -31,8 +31,8 @@ from hw.port import LinkError
 from hw.program import Program
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
-PROGRAM = Program.from_bits(RASKAR, chip_ns=200_000)
-SLOW = Program.from_bits("1" * 1000, chip_ns=30_000_000)  # 30 s: still open whenever a test looks
+PROGRAM = Program(RASKAR, chip_ns=200_000)
+SLOW = Program("1" * 1000, chip_ns=30_000_000)  # 30 s: still open whenever a test looks
 FAST = {"timeout_s": 0.05, "attempts": 40}
 
 
@@ -55,7 +55,7 @@ def test_upload_reads_back_and_reports():
 
 
 def test_the_longest_code_that_the_device_takes():
-    program = Program.from_bits("01" * 512, chip_ns=50_000)
+    program = Program("01" * 512, chip_ns=50_000)
     with CxpController() as device, Controller.open(device.port, **FAST) as controller:
         assert controller.upload(program).program.chips == 1024
         assert controller.read() == Stored(program.bits, 100, 0)
@@ -86,10 +86,7 @@ def test_play_once():
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_100_loads_at_1_percent_byte_corruption_are_all_verified(seed):
     faults = Faults(noise=0.01, seed=seed)
-    codes = [
-        Program.from_bits(f"{k + 1:016b}" + RASKAR[16:], chip_ns=50_000 + 500 * k)
-        for k in range(100)
-    ]
+    codes = [Program(f"{k + 1:016b}" + RASKAR[16:], chip_ns=50_000 + 500 * k) for k in range(100)]
     with (
         CxpController(faults) as device,
         Controller.open(device.port, timeout_s=0.02, attempts=60) as controller,
@@ -104,7 +101,7 @@ def test_100_loads_at_1_percent_byte_corruption_are_all_verified(seed):
 
 
 def test_40_triggers_at_2_percent_corruption_are_exactly_40_plays():
-    code = Program.from_bits(RASKAR, chip_ns=50_000)
+    code = Program(RASKAR, chip_ns=50_000)
     faults = Faults(noise=0.02, seed=7)
     with (
         CxpController(faults) as device,
@@ -136,7 +133,7 @@ def test_wrong_stored_bit_is_caught_by_the_read_back_and_nothing_is_armed():
 
 def test_every_violation_is_told_and_nothing_is_sent():
     profile = DeviceProfile(name="led", max_on_ns=500_000, max_duty=0.4)
-    program = Program.from_bits(RASKAR * 20, chip_ns=200_100)
+    program = Program(RASKAR * 20, chip_ns=200_100)
     with CxpController() as device, Controller.open(device.port, **FAST) as controller:
         assert len(controller.check(program, profile=profile)) == 4
         with pytest.raises(
@@ -159,12 +156,12 @@ def test_bad_lease_is_refused_before_anything_is_sent():
 
 def test_limits_that_the_device_announces_are_told_before_anything_is_sent():
     limited = {"min_ticks": 200, "max_on_ticks": 1500, "max_duty": 500}
-    program = Program.from_bits("11110111", chip_ns=50_000)
+    program = Program("11110111", chip_ns=50_000)
     with CxpController(**limited) as device, Controller.open(device.port, **FAST) as controller:
         with pytest.raises(ValueError, match=r"at least 100 us.*duty is 0\.875; at most 0\.500"):
             controller.upload(program)
         with pytest.raises(ValueError, match=r"longest opening is 1 ms; at most 750 us"):
-            controller.upload(Program.from_bits("1000011000", chip_ns=500_000))
+            controller.upload(Program("1000011000", chip_ns=500_000))
         assert LOAD not in device.ops
 
 
@@ -174,9 +171,9 @@ def test_limits_are_the_devices_own_too():
         Controller.open(device.port, **FAST) as controller,
     ):
         with pytest.raises(DeviceError, match="refuses LOAD: open for too much"):
-            controller.load(Program.from_bits("1110", chip_ns=50_000))
+            controller.load(Program("1110", chip_ns=50_000))
         with pytest.raises(DeviceError, match="refuses LOAD: an opening is too long"):
-            controller.load(Program.from_bits("1100000", chip_ns=500_000))
+            controller.load(Program("1100000", chip_ns=500_000))
         assert device.state == IDLE
 
 
@@ -406,7 +403,7 @@ import sys
 from hw.drivers.cxp import Controller
 from hw.program import Program
 controller = Controller.open(sys.argv[1])
-controller.upload(Program.from_bits("1" * 1000, chip_ns=30_000_000), arm=True)
+controller.upload(Program("1" * 1000, chip_ns=30_000_000), arm=True)
 controller.trigger()
 {ending}
 """

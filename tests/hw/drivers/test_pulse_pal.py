@@ -24,15 +24,14 @@ from hypothesis import strategies as st
 
 from hw.device import DeviceProfile
 from hw.drivers.driver import Trust
-from hw.drivers.pulse_pal import PulsePal
-from hw.drivers.pulse_pal_link import PulsePalLink, dac_code
+from hw.drivers.pulse_pal import PulsePal, PulsePalLink, dac_code
 from hw.errors import DeviceError, WrongStateError
 from hw.port import LinkError, PortError, open_port
 from hw.program import Program
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
-PROGRAM = Program.from_bits(RASKAR, chip_ns=200_000)
-SLOW = Program.from_bits("1" * 100, chip_ns=300_000_000)  # 30 s: still open whenever a test looks
+PROGRAM = Program(RASKAR, chip_ns=200_000)
+SLOW = Program("1" * 100, chip_ns=300_000_000)  # 30 s: still open whenever a test looks
 CYCLE_NS = 50_000
 HELLO = ("d5 48", "4b 15 00 00 00")
 UNLINK = [("d5 4a 0c 01 00", "01"), ("d5 4a 0d 01 00", "01")]
@@ -66,7 +65,7 @@ def until(condition):
 
 
 def test_transcript_byte_for_byte():
-    program = Program.from_bits(
+    program = Program(
         "0110100", chip_ns=200_000
     )  # pulses at 0, 4 and 12 cycles, 4 after the trigger
     times = "00 00 00 00 04 00 00 00 0c 00 00 00"
@@ -104,7 +103,7 @@ def test_transcript_byte_for_byte():
 
 
 def test_transcript_of_an_inverted_shutter():
-    program = Program.from_bits("1", chip_ns=100_000)
+    program = Program("1", chip_ns=100_000)
     port, device = scripted(
         [
             *ABORTED,
@@ -134,7 +133,7 @@ def test_transcript_of_an_inverted_shutter():
 
 codes = st.text("01", min_size=1, max_size=300).filter(lambda bits: "1" in bits)
 programs = st.builds(
-    lambda bits, cycles: Program.from_bits(bits, chip_ns=cycles * CYCLE_NS),
+    lambda bits, cycles: Program(bits, chip_ns=cycles * CYCLE_NS),
     codes,
     st.sampled_from([2, 3, 4, 7, 400]),
 )
@@ -202,7 +201,7 @@ def test_raskar_is_played_in_real_time():
 
 
 def test_the_longest_train():
-    program = Program.from_bits("10" * 5000, chip_ns=100_000)
+    program = Program("10" * 5000, chip_ns=100_000)
     with Device() as device, PulsePal.open(device.port) as driver:
         driver.upload(program)
         assert output(device) == expected(program)
@@ -211,7 +210,7 @@ def test_the_longest_train():
             device.ops.count(TRAIN_1) == 1
         )  # no room for the guard, and nothing was ever stored behind
         with pytest.raises(ValueError, match="at most 5000"):
-            driver.upload(Program.from_bits("1" * 5001, chip_ns=100_000))
+            driver.upload(Program("1" * 5001, chip_ns=100_000))
         assert device.ops.count(TRAIN_1) == 1
 
 
@@ -219,14 +218,14 @@ def test_the_longest_train():
 def test_chips_off_the_grid_are_refused_before_anything_is_sent(chip_ns):
     port, device = scripted([])
     with device, pytest.raises(ValueError, match=r"cannot be played.*multiple of 50000 ns"):
-        device.upload(Program.from_bits("101", chip_ns=chip_ns))
+        device.upload(Program("101", chip_ns=chip_ns))
     # leaving the block was no exception: the transcript has no ABORT
     assert port.all_consumed()
 
 
 def test_every_violation_is_told_and_nothing_is_sent():
     profile = DeviceProfile(name="led", max_on_ns=500_000, max_duty=0.4)
-    program = Program.from_bits(RASKAR, chip_ns=200_100)
+    program = Program(RASKAR, chip_ns=200_100)
     port, device = scripted([])
     with device:
         assert len(device.check(program, profile=profile)) == 3
@@ -317,7 +316,7 @@ import sys
 from hw.drivers.pulse_pal import PulsePal
 from hw.program import Program
 driver = PulsePal.open(sys.argv[1])
-driver.upload(Program.from_bits("1" * 100, chip_ns=300_000_000), arm=True)
+driver.upload(Program("1" * 100, chip_ns=300_000_000), arm=True)
 driver.trigger()
 {ending}
 """
@@ -473,7 +472,7 @@ def arm_again_and_again(driver):
     driver.play()
 
 
-SHORT = Program.from_bits("0101", chip_ns=100_000)
+SHORT = Program("0101", chip_ns=100_000)
 
 
 def cut_after(device, writes, *, arrives):

@@ -25,8 +25,8 @@ from hw.port import LinkError, PortError
 from hw.program import Program
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
-PROGRAM = Program.from_bits(RASKAR, chip_ns=200_000)
-SLOW = Program.from_bits("1" * 100, chip_ns=300_000_000)  # 30 s: still open whenever a test looks
+PROGRAM = Program(RASKAR, chip_ns=200_000)
+SLOW = Program("1" * 100, chip_ns=300_000_000)  # 30 s: still open whenever a test looks
 SIMULATED = Path(__file__).parents[2] / "emulators" / "awg_sim.yaml"
 
 
@@ -67,7 +67,7 @@ def until(condition):
 
 
 def test_upload_sends_these_messages_and_no_others():
-    program = Program.from_bits("1101", chip_ns=200_000)
+    program = Program("1101", chip_ns=200_000)
     with Awg() as device, ScpiAwg.open(device.resource) as awg:
         report = awg.upload(program, profile=DeviceProfile(name="shutter"))
         awg.arm()
@@ -134,7 +134,7 @@ codes = st.text("01", min_size=1, max_size=300).filter(lambda bits: "1" in bits)
 chips = st.one_of(
     st.integers(16, 10**6), st.sampled_from([200_000, 300_000, 333_333, 1_000_000, 10**9])
 )
-programs = st.builds(lambda bits, chip_ns: Program.from_bits(bits, chip_ns=chip_ns), codes, chips)
+programs = st.builds(lambda bits, chip_ns: Program(bits, chip_ns=chip_ns), codes, chips)
 volts = st.integers(-9, 9)
 
 
@@ -204,7 +204,7 @@ def arm_again_and_again(awg):
     awg.abort()
 
 
-SHORT = Program.from_bits("101", chip_ns=1000)
+SHORT = Program("101", chip_ns=1000)
 
 
 def test_arming_what_is_armed_or_plays_never_lets_the_output_run_freely():
@@ -374,7 +374,7 @@ import sys
 from hw.drivers.scpi import ScpiAwg
 from hw.program import Program
 awg = ScpiAwg.open(sys.argv[1])
-awg.upload(Program.from_bits("1" * 100, chip_ns=300_000_000), arm=True)
+awg.upload(Program("1" * 100, chip_ns=300_000_000), arm=True)
 awg.trigger()
 {ending}
 """
@@ -396,12 +396,12 @@ awg.trigger()
 def test_every_violation_is_told_and_nothing_is_sent():
     profile = DeviceProfile(name="led", max_on_ns=30, max_duty=0.4)
     with Awg() as device, ScpiAwg.open(device.resource) as awg:
-        program = Program.from_bits(RASKAR, chip_ns=15)
+        program = Program(RASKAR, chip_ns=15)
         assert len(awg.check(program, profile=profile)) == 3
         with pytest.raises(ValueError, match=r"at least 16 ns.*led: longest.*led: duty") as caught:
             awg.upload(program, profile=profile)
         with pytest.raises(ValueError, match="1000001 chips is too long"):
-            awg.upload(Program.from_bits("1" * 1_000_001, chip_ns=1000))
+            awg.upload(Program("1" * 1_000_001, chip_ns=1000))
     assert "\n" not in str(caught.value)
     assert device.messages == ["*IDN?"]
 

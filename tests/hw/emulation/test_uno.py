@@ -15,7 +15,7 @@ from hw.drivers.cxp import Controller
 from hw.emulation.uno import CLOCK_HZ, SIGNALS, EmulatedUno, EmulationError, build_board
 from hw.program import Program
 
-PROGRAM = Program.from_bits("110100", chip_ns=200_000)
+PROGRAM = Program("110100", chip_ns=200_000)
 
 
 def play(uno):

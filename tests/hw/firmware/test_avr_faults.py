@@ -23,8 +23,8 @@ from hw.port import LinkError, PortError, open_port
 from hw.program import Program
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
-PROGRAM = Program.from_bits(RASKAR, chip_ns=200_000)
-OPEN_10_S = Program.from_bits("1" * 400, chip_ns=25_000_000)
+PROGRAM = Program(RASKAR, chip_ns=200_000)
+OPEN_10_S = Program("1" * 400, chip_ns=25_000_000)
 WATCHDOG_S = 0.064  # 8192 periods of the watchdog's own 128 kHz
 
 
@@ -68,7 +68,7 @@ def test_300_loads_are_all_verified_at_1_percent_of_bytes_spoilt_each_way():
         for _ in range(300):
             bits = "1" + "".join(rng.choice("01") for _ in range(51))
             assert controller.upload(
-                Program.from_bits(bits, chip_ns=500 * rng.randrange(100, 60_000))
+                Program(bits, chip_ns=500 * rng.randrange(100, 60_000))
             ).read_back
         assert controller.link.retries > 50
         assert controller.status().bad_frames > 20
@@ -76,7 +76,7 @@ def test_300_loads_are_all_verified_at_1_percent_of_bytes_spoilt_each_way():
 
 
 def test_40_triggers_are_40_plays_at_2_percent_of_bytes_spoilt_each_way():
-    code = Program.from_bits(RASKAR[:20], chip_ns=50_000)
+    code = Program(RASKAR[:20], chip_ns=50_000)
     with (
         EmulatedUno(speed=0, noise=0.02, noise_seed=2) as uno,
         Controller.open(uno.port, timeout_s=0.02, attempts=60) as controller,
@@ -125,7 +125,7 @@ def test_a_program_that_hangs_while_armed_forgets_it_and_obeys_no_trigger():
 def test_a_storm_of_triggers_plays_the_code_once_and_exactly(hertz):
     code = Stored(RASKAR, 100, 0)
     with EmulatedUno(speed=0) as uno, Controller.open(uno.port, timeout_s=0.3) as controller:
-        controller.load(Program.from_bits(RASKAR, chip_ns=50_000))
+        controller.load(Program(RASKAR, chip_ns=50_000))
         with one_play(uno) as plays:
             controller.arm(lease_ms=0xFFFF)
             uno.trigger(pulses=round(0.01 * hertz), hertz=hertz)
@@ -158,7 +158,7 @@ import sys, time
 from hw.drivers.cxp import Controller
 from hw.program import Program
 with Controller.open(sys.argv[1]) as controller:
-    controller.upload(Program.from_bits("1" * 400, chip_ns=int(sys.argv[2])), arm=True, lease_ms=2000)
+    controller.upload(Program("1" * 400, chip_ns=int(sys.argv[2])), arm=True, lease_ms=2000)
     if sys.argv[3] == "play":
         controller.trigger()
     print("armed", flush=True)
@@ -246,7 +246,7 @@ def test_a_cable_pulled_during_load_is_told_in_one_line_and_plugged_in_all_is_we
 def test_a_cable_pulled_while_open_ends_with_the_program():
     with EmulatedUno() as uno:
         with Controller.open(uno.port) as controller:
-            controller.upload(Program.from_bits("1" * 20, chip_ns=20_000_000), arm=True)
+            controller.upload(Program("1" * 20, chip_ns=20_000_000), arm=True)
             controller.trigger()
             uno.unplug()
             with pytest.raises(LinkError, match="is gone"):

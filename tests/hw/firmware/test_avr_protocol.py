@@ -110,9 +110,9 @@ def test_the_open_fraction_stays_below_its_limit_however_plays_are_cut_short(qua
 
 
 def test_limits_built_in_are_known_to_the_host_and_kept_without_it(limited):
-    good = Program.from_bits("1" * 3 + "0" * 5, chip_ns=200_000)
-    long = Program.from_bits("1" * 4 + "0" * 6, chip_ns=200_000)
-    often = Program.from_bits("10101", chip_ns=200_000)
+    good = Program("1" * 3 + "0" * 5, chip_ns=200_000)
+    long = Program("1" * 4 + "0" * 6, chip_ns=200_000)
+    often = Program("10101", chip_ns=200_000)
     with EmulatedUno(limited) as uno, Controller.open(uno.port) as controller:
         assert (controller.announced.max_on_ticks, controller.announced.max_duty) == (1200, 0.42)
         controller.upload(good)
@@ -228,7 +228,7 @@ def test_a_missed_edge_closes_and_does_not_count(tmp_path):
         ("uart.c", "    uint8_t at = head;\n\n", "    uint8_t at = head;\n    _delay_us(150);\n"),
         ("uart.c", '#include "board.h"', '#include "board.h"\n#include <util/delay.h>'),
     )
-    code = Program.from_bits("1" * 1000, chip_ns=50_000)
+    code = Program("1" * 1000, chip_ns=50_000)
     with EmulatedUno(slow) as uno, Controller.open(uno.port) as controller:
         controller.upload(code, arm=True)
         controller.trigger()
@@ -267,4 +267,4 @@ def test_the_name_of_the_firmware_is_one_that_is_called_proven():
     assert HEX.is_file()
     with EmulatedUno() as uno, Controller.open(uno.port) as controller:
         assert controller.announced.firmware == "cxp-avr 1"
-        assert controller.upload(Program.from_bits(CODE, chip_ns=50_000)).trust == "A"
+        assert controller.upload(Program(CODE, chip_ns=50_000)).trust == "A"

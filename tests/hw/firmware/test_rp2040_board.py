@@ -88,7 +88,7 @@ def from_first(program: Program) -> list[tuple[int, int]]:
 
 
 def test_upload_arm_trigger(pico):
-    program = Program.from_bits(RASKAR, chip_ns=200_000)
+    program = Program(RASKAR, chip_ns=200_000)
     with Controller.open(pico.port) as controller:
         told = controller.announced
         assert (told.firmware, told.max_chips, told.tick_ns, told.fractions) == (
@@ -121,7 +121,7 @@ def test_random_programs_with_status_polled(pico):
     with Controller.open(pico.port) as controller:
         for _ in range(6):
             bits = "".join(rng.choice("01") for _ in range(rng.randint(15, 286))) + "1"
-            program = Program.from_bits(bits, chip_ns=8 * rng.randint(125, 2000))
+            program = Program(bits, chip_ns=8 * rng.randint(125, 2000))
             controller.upload(program, arm=True)
             controller.trigger()
             assert controller.wait(timeout_s=20.0).pos == len(bits)
@@ -129,7 +129,7 @@ def test_random_programs_with_status_polled(pico):
 
 
 def test_abort_and_the_end_of_the_lease(pico):
-    program = Program.from_bits("1" * 50, chip_ns=1_000_000)
+    program = Program("1" * 50, chip_ns=1_000_000)
     with Controller.open(pico.port) as controller:
         controller.upload(program, arm=True)
         controller.trigger()
@@ -157,7 +157,7 @@ def test_noise_on_the_line(pico):
 
 def test_carriage_return_and_ctrl_c_give_the_console_back(pico):
     with Controller.open(pico.port) as controller:
-        controller.upload(Program.from_bits("11", chip_ns=10_000_000), arm=True)
+        controller.upload(Program("11", chip_ns=10_000_000), arm=True)
         controller.trigger()
     log = pico.ask("log")
     assert log == ["freq 125000000", "kbd_intr -1", "watchdog 2000", "feed"]
@@ -183,14 +183,12 @@ def test_limits_of_the_shutter(tmp_path):
         limits = controller.limits
         assert (limits.max_on_ns, limits.max_duty) == (500_000, 0.5)
         with pytest.raises(ValueError, match="500"):
-            controller.upload(Program.from_bits("1110000", chip_ns=200_000))
+            controller.upload(Program("1110000", chip_ns=200_000))
         with pytest.raises(DeviceError, match="too long"):
-            controller.load(Program.from_bits("1110000", chip_ns=200_000))
+            controller.load(Program("1110000", chip_ns=200_000))
         with pytest.raises(DeviceError, match="too much of the time"):
-            controller.load(Program.from_bits("1101100", chip_ns=250_000))
-        controller.upload(
-            Program.from_bits("110000", chip_ns=250_000), profile=DeviceProfile(name="own")
-        )
+            controller.load(Program("1101100", chip_ns=250_000))
+        controller.upload(Program("110000", chip_ns=250_000), profile=DeviceProfile(name="own"))
 
 
 @pytest.mark.slow  # an emulated board that restarts
@@ -198,7 +196,7 @@ def test_a_play_cut_short_is_owed_after_a_reset_too(tmp_path):
     """A register that only the loss of power clears holds the closed time; resets themselves are
     not emulated."""
     scratch = 0x4005800C
-    program = Program.from_bits("1" + "0" * 49, chip_ns=400_000_000)
+    program = Program("1" + "0" * 49, chip_ns=400_000_000)
     for name in ("cxp_text.py", "cxp.py", "pio_shutter.py", "main.py"):
         text = (FIRMWARE / name).read_text(encoding="utf-8")
         (tmp_path / name).write_text(

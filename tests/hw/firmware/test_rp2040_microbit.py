@@ -46,7 +46,7 @@ def microbit(tmp_path_factory) -> Iterator[object]:
 def test_load_read_back_arm_trigger(microbit):
     from emulators.microbit.qemu import PIN0
 
-    program = Program.from_bits(RASKAR, chip_ns=5_000_000)
+    program = Program(RASKAR, chip_ns=5_000_000)
     with Controller.open(microbit.port, timeout_s=0.5) as controller:
         assert controller.announced.firmware == "cxp-bench 1"
         assert not controller.announced.trigger_input
@@ -72,7 +72,7 @@ def test_abort_lease_and_refusals(microbit):
 
     with Controller.open(microbit.port, timeout_s=0.5) as controller:
         controller.abort()
-        controller.upload(Program.from_bits("1" * 64, chip_ns=1_000_000_000))
+        controller.upload(Program("1" * 64, chip_ns=1_000_000_000))
         with pytest.raises(WrongStateError):
             controller.trigger()
         controller.arm()

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 
 from hw.export import EXPORTERS
 from hw.program import Program
-from hw.recordings.capture import parse_vcd, read_capture
+from hw.recordings.capture import Trace, parse_vcd, read_capture
 from hw.recordings.playback import align
-from hw.recordings.trace import Trace
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 PROGRAM = Program(RASKAR, 200_000)
@@ -57,7 +56,7 @@ def test_our_own_vcd_comes_back(bits, chip_ns, name):
     assert trace.edges == tuple((float(at + chip_ns), level) for at, level in program.edges)
     found = _only(trace, program, trigger=recording.trace("gate"))
     assert (found.same_bits, found.achieved, found.problems) == (True, bits, ())
-    assert found.matched == len(program.edges)
+    assert found.missing == found.extra == 0
     assert (found.start_ns, found.latency_ns) == (
         pytest.approx(chip_ns),
         pytest.approx(0, abs=1e-6 * chip_ns),
@@ -87,7 +86,7 @@ def test_a_slow_or_fast_clock_sampled_and_jittering_still_plays_the_code(
     found = _only(_trace((_sampled(edges, rate_hz), 0), rest=int(inverted)), program)
     assert (found.achieved, found.same_bits, found.inverted) == (bits, True, inverted)
     assert (found.missing, found.extra, found.glitches) == (0, 0, 0)
-    assert found.matched == len(program.edges)
+    assert found.missing == found.extra == 0
     assert found.worst_ns <= 4 * (jitter + 1e9 / rate_hz)
     # The jitter leaves that much freedom to the slope of a code of this length.
     assert found.scale_ppm == pytest.approx(

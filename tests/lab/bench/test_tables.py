@@ -11,6 +11,7 @@ import pytest
 from rich.console import Console
 
 from cep.commands.console import Table as ConsoleTable
+from lab.bench.harness import in_code_span
 from lab.bench.statistics import mean_interval, summarized
 from lab.bench.table_io import (
     TABLES_SCHEMA,
@@ -263,3 +264,8 @@ def test_refusals(options, message):
         made(measured(plain=gain(0)), **options)
     with pytest.raises(ValueError, match="columns: psnr_db is no number, got 'dark'"):
         made({("a", "b"): {"psnr_db": "dark"}})
+
+
+def test_code_in_markdown_ends_where_it_ends():
+    assert in_code_span("a `b` ``c``") == "``` a `b` ``c`` ```"
+    assert in_code_span("\x1b[2J").isprintable()
