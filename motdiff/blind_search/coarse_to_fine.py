@@ -21,6 +21,12 @@ from motdiff.blind_search.latent import (
 _RATIO = math.sqrt(0.5)  # of neighbouring scales: half as many pixels
 _COARSEST_PX = 5  # kernel side at the coarsest scale, where two equal pixels are a fair start
 _DECAY = 1.1  # of the priors' weights and of the threshold, from one alternation to the next
+_INTENSITY_WEIGHT = 0.1  # shrinkage of the minimal pixels: at first, and where its decay ends
+_INTENSITY_FLOOR = 1e-2
+_GRADIENT_FLOOR = 1e-4  # weight of the gradient count, where its decay ends
+_PATCH_SHARE = 0.025  # side of the minimal-pixel patches, of the photo's mean side
+_KEEP_SHARE = 0.05  # of the peak: fainter values are dropped at full size, before the refinement
+_RIDGE = 2.0
 _SMOOTHNESS_FLOOR = 4.0  # of the search's kernels, without noise
 _SMOOTHNESS_PER_VARIANCE = 1.6e5  # 16 at a noise of 0.01: noise reaches a kernel as grain
 _FINE_SMOOTHNESS = 0.3  # weaker than in the search, for the faint parts of the kernel
@@ -39,60 +45,58 @@ _SHRUNK_NOISE = 0.45
 
 
 @dataclass(frozen=True)
-class PmpSettings:
-    """Constants of the blind search.
+class Start:
+    """Start of a search; from others the descent reaches other optima.
 
     Attributes
     ----------
+    size : int
+        Odd side of the kernel frame, px; the kernel should fill a good part of it.
+    sparsity : float
+        Weight of the kernel's sum: low where a strong one would shrink a long path to a dot.
+    gradient_weight : float
+        Weight of the gradient count, at first: high keeps only the strongest edges.
+    quarter_turns : int
+        By so many right angles the photo is turned before the search.
+    """
+
+    size: int
+    sparsity: float = 3.0
+    gradient_weight: float = 8e-3
+    quarter_turns: int = 0
+
+
+@dataclass(frozen=True)
+class PmpSettings:
+    """Length of the blind search, and the noise that it reckons with.
+
+    Attributes
+    ----------
+    sigma : float
+        Standard deviation of the photo's noise.
     iterations, last_iterations : int
         Alternations of photo and kernel at each scale, and at full size.
-    intensity_weight, intensity_floor : float
-        Shrinkage of the minimal pixels: start, and where its decay ends.
-    gradient_weight, gradient_floor : float
-        Weight of the gradient count: start, and where its decay ends.
-    ridge, smoothness, sparsity : float
-        Regularisation of the kernel, see :func:`motdiff.blind_search.kernel.fit_kernel`.
-    patch_share : float
-        Side of the minimal-pixel patches as a share of the photo's mean side.
     coupling : Coupling
         Of the half-quadratic splitting, but for the refinement's. Fast growth loses kernels; a
         late end only takes time.
-    keep_share : float
-        Values below this share of the peak are dropped at full size, before the refinement.
     fine_weights : tuple of float
         Weights of the gradient count of as many closing alternations at each scale, which use all
         gradients: salient edges alone lead away even from the truth. With any,
         :func:`refine_kernel` closes the full size.
-    sigma : float
-        Standard deviation of the photo's noise.
     """
 
+    sigma: float = 0.0
     iterations: int = 4
     last_iterations: int = 3
-    intensity_weight: float = 0.1
-    intensity_floor: float = 1e-2
-    gradient_weight: float = 8e-3
-    gradient_floor: float = 1e-4
-    ridge: float = 2.0
-    smoothness: float = 20.0
-    sparsity: float = 3.0
-    patch_share: float = 0.025
     coupling: Coupling = _COUPLING
-    keep_share: float = 0.05
     fine_weights: tuple[float, ...] = (3e-3, 1e-3, 3e-4)
-    sigma: float = 0.0
-
-    @classmethod
-    def for_noise(cls, sigma: float) -> PmpSettings:
-        """Return settings whose kernel smoothness suits noise of standard deviation ``sigma``."""
-        return cls(smoothness=_SMOOTHNESS_FLOOR + _SMOOTHNESS_PER_VARIANCE * sigma**2, sigma=sigma)
 
 
 def estimate_kernels(
     photos: Tensor,
+    start: Start,
     *,
-    size: int,
-    settings: PmpSettings | None = None,
+    settings: PmpSettings = PmpSettings(),
     on_progress: Callable[[float], None] = lambda _share: None,
 ) -> Tensor:
     """Estimate one blur kernel per photo from its crops.
@@ -100,9 +104,10 @@ def estimate_kernels(
     Parameters
     ----------
     photos : (B, C, H, W) float32, 0..1
-        Blurred photos, grey, each as C crops that share one kernel; any device.
-    size : int
-        Odd side of the kernel frame, px; the kernel should fill a good part of it.
+        Blurred photos, grey, each as C crops that share one kernel; any device. Turned already
+        where the start has them turned.
+    start : Start
+    settings : PmpSettings
     on_progress : callable, optional
         Called with the finished share 0..1, after each alternation of photo and kernel.
 
@@ -115,12 +120,13 @@ def estimate_kernels(
     Wen et al., "A simple local minimal intensity prior and an improved algorithm for blind image
     deblurring", IEEE TCSVT 2021, algorithm 3.
     """
-    settings = settings or PmpSettings()
+    size = start.size
     scales = max(math.floor(math.log(_COARSEST_PX / size) / math.log(_RATIO)), 0) + 1
     mean_side_px = 0.5 * (photos.shape[-1] + photos.shape[-2])
-    patch_px = max(2, math.floor(settings.patch_share * mean_side_px))
-    intensity = settings.intensity_weight
-    gradient = settings.gradient_weight
+    patch_px = max(2, math.floor(_PATCH_SHARE * mean_side_px))
+    smoothness = _SMOOTHNESS_FLOOR + _SMOOTHNESS_PER_VARIANCE * settings.sigma**2
+    intensity = _INTENSITY_WEIGHT
+    gradient = start.gradient_weight
     kernel = photos.new_zeros(0)
     threshold = photos.new_zeros(0)
     batch, crops = photos.shape[:2]
@@ -160,16 +166,16 @@ def estimate_kernels(
                 _by_photo(salient_gradients(latent, threshold), batch),
                 blurred_gradients,
                 size=side,
-                ridge=settings.ridge,
-                smoothness=settings.smoothness,
-                sparsity=settings.sparsity,
+                ridge=_RIDGE,
+                smoothness=smoothness,
+                sparsity=start.sparsity,
                 rounds=_ROUNDS,
             )
             kernel = without_specks(kernel)
             # weaker priors from step to step: the kernel is better, so fainter edges are true ones
             threshold = threshold / _DECAY
-            intensity = max(intensity / _DECAY, settings.intensity_floor)
-            gradient = max(gradient / _DECAY, settings.gradient_floor)
+            intensity = max(intensity / _DECAY, _INTENSITY_FLOOR)
+            gradient = max(gradient / _DECAY, _GRADIENT_FLOOR)
             cost += costs[scale]
             on_progress(cost / total)
         for weight in settings.fine_weights if scale else ():
@@ -185,7 +191,7 @@ def estimate_kernels(
             cost += costs[scale]
             on_progress(cost / total)
         kernel = centred(kernel)  # else the next scale's frame might cut it
-    kernel = without_faint_light(kernel, below=settings.keep_share)
+    kernel = without_faint_light(kernel, below=_KEEP_SHARE)
     if settings.fine_weights:
         kernel = centred(refine_kernel(photos, kernel, sigma=settings.sigma))
     on_progress(1.0)
@@ -286,7 +292,7 @@ def _fitted_to_all(
         _by_photo(salient_gradients(latent, latent.new_zeros(batch * crops)), batch),
         blurred,
         size=kernel.shape[-1],
-        ridge=2.0,
+        ridge=_RIDGE,
         smoothness=_FINE_SMOOTHNESS + _SMOOTHNESS_PER_VARIANCE * sigma**2,
         sparsity=_FINE_SPARSITY,
         keep_share=_FINE_KEEP_SHARE,

@@ -5,12 +5,10 @@ The network sees them beside the photo's features, or instead: they lie on the p
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-
 import torch
 from torch import Tensor
 
-from motdiff.blind_search.coarse_to_fine import PmpSettings, estimate_kernels
+from motdiff.blind_search.coarse_to_fine import PmpSettings, Start, estimate_kernels
 from motdiff.blind_search.latent import Coupling
 from motdiff.psf_frame import PSF_PX, margins
 
@@ -20,24 +18,7 @@ _BAND_SIGMA_CY_PX = 0.22  # above, noise outweighs the scene
 _DISPLAY_GAMMA = 2.2  # near sRGB's curve: ImageNet's weights know display values alone
 
 
-@dataclass(frozen=True)
-class QuickStart:
-    """One shortened run of the classical blind search.
-
-    Attributes
-    ----------
-    size : int
-        Odd side of the kernel frame, px.
-    sparsity, gradient_weight : float
-        See :class:`motdiff.blind_search.coarse_to_fine.PmpSettings`.
-    """
-
-    size: int
-    sparsity: float
-    gradient_weight: float = 8e-3
-
-
-QUICK_STARTS = (QuickStart(29, 1.0), QuickStart(39, 3.0), QuickStart(53, 0.5))
+QUICK_STARTS = (Start(29, sparsity=1.0), Start(39), Start(53, sparsity=0.5))
 """Three runs at half the cost of a full one each (0.4 CPU-s at 256 px)."""
 
 
@@ -74,7 +55,7 @@ def quick_kernels(
     photos: Tensor,
     *,
     sigma: float = 0.01,
-    starts: tuple[QuickStart, ...] = QUICK_STARTS,
+    starts: tuple[Start, ...] = QUICK_STARTS,
     iterations: int = 2,
     fine_weights: tuple[float, ...] = _QUICK_FINE_WEIGHTS,
 ) -> Tensor:
@@ -95,18 +76,16 @@ def quick_kernels(
     -------
     (B, K, 64, 64) float32: sum 1, centroid near index 32.
     """
+    settings = PmpSettings(
+        sigma=sigma,
+        iterations=iterations,
+        last_iterations=iterations,
+        coupling=_QUICK_COUPLING,
+        fine_weights=fine_weights,
+    )
     kernels = []
     for start in starts:
-        settings = replace(
-            PmpSettings.for_noise(sigma),
-            iterations=iterations,
-            last_iterations=iterations,
-            fine_weights=fine_weights,
-            coupling=_QUICK_COUPLING,
-            sparsity=start.sparsity,
-            gradient_weight=start.gradient_weight,
-        )
-        kernel = estimate_kernels(photos, size=start.size, settings=settings)
+        kernel = estimate_kernels(photos, start, settings=settings)
         kernels.append(torch.nn.functional.pad(kernel, 2 * margins(start.size)))
     return torch.stack(kernels, dim=1)
 

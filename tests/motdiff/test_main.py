@@ -18,7 +18,8 @@ import torch
 
 from lab.evaluation.methods import named_estimators
 from motdiff.__main__ import run
-from motdiff.network.physics_maps import QuickStart, quick_kernels
+from motdiff.blind_search.coarse_to_fine import Start
+from motdiff.network.physics_maps import quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module
 from motdiff.training.checkpoint import read_checkpoint
@@ -73,7 +74,7 @@ def small_world(tmp_path, monkeypatch):
     """Run in a folder of its own, in this process, with searches and shards that take no time."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    starts = tuple(QuickStart(size, 1.0) for size in (9, 11, 13))
+    starts = tuple(Start(size, 1.0) for size in (9, 11, 13))
     monkeypatch.setattr(
         samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)
     )

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.blind_search.coarse_to_fine import PmpSettings, estimate_kernels
+from motdiff.blind_search.coarse_to_fine import PmpSettings, Start, estimate_kernels
 from motdiff.blind_search.grids import shifted
-from motdiff.estimators.pmp.estimator import STARTS, Start
+from motdiff.estimators.pmp.estimator import STARTS
 from motdiff.network.correction import CorrectionNetwork, corrected, correction_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.photo_noise import noise_sigma
@@ -91,15 +91,9 @@ def searched(photos: Tensor, *, searches: tuple[Start, ...] = SEARCHES) -> Tenso
     size = {"cpu": _CPU_BATCH}.get(photos.device.type, len(photos))
     rows = []
     for batch in torch.split(order, size):
-        settings = PmpSettings.for_noise(float(np.median(noise[batch.cpu().numpy()])))
+        settings = PmpSettings(float(np.median(noise[batch.cpu().numpy()])))
         kernels = [
-            estimate_kernels(
-                photos[batch][:, None],
-                size=start.size,
-                settings=replace(
-                    settings, sparsity=start.sparsity, gradient_weight=start.gradient_weight
-                ),
-            )
+            estimate_kernels(photos[batch][:, None], start, settings=settings)
             for start in searches
         ]
         framed = [functional.pad(kernel, 2 * margins(kernel.shape[-1])) for kernel in kernels]

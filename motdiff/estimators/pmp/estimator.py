@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import torch
 
-from motdiff.blind_search.coarse_to_fine import PmpSettings, estimate_kernels, refine_kernel
+from motdiff.blind_search.coarse_to_fine import (
+    PmpSettings,
+    Start,
+    estimate_kernels,
+    refine_kernel,
+)
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import rank_kernels
 from motdiff.estimators.multiscale import BlindEstimator
@@ -19,30 +24,6 @@ from motdiff.photo_noise import shared_sigma
 from motdiff.progress import Progress
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
-
-
-@dataclass(frozen=True)
-class Start:
-    """One run of the blind search.
-
-    Attributes
-    ----------
-    size : int
-        Odd side of the kernel frame, px.
-    quarter_turns : int
-        The photo is turned by so many right angles, and the kernel turned back: the descent
-        reaches another optimum.
-    sparsity : float
-        Weight of the kernel's sum: low where a strong one would shrink a long path to a dot.
-    gradient_weight : float
-        Weight of the gradient count: high keeps only the strongest edges.
-    """
-
-    size: int
-    quarter_turns: int = 0
-    sparsity: float = 3.0
-    gradient_weight: float = 8e-3
-
 
 STARTS = (
     Start(39, sparsity=1.0, gradient_weight=1.5e-2),
@@ -164,14 +145,14 @@ class PmpEstimator(BlindEstimator):
     ) -> FloatArray:
         rotated = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
         batch = torch.from_numpy(np.ascontiguousarray(rotated))[None]
-        settings = replace(
-            PmpSettings.for_noise(shared_sigma(crops)),
-            sparsity=start.sparsity,
-            gradient_weight=start.gradient_weight,
-        )
         # odd, and smaller than the photo
         size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
-        kernels = estimate_kernels(batch, size=size, settings=settings, on_progress=on_progress)
+        kernels = estimate_kernels(
+            batch,
+            replace(start, size=size),
+            settings=PmpSettings(shared_sigma(crops)),
+            on_progress=on_progress,
+        )
         kernel = np.rot90(kernels[0].numpy(), -start.quarter_turns)
         return np.ascontiguousarray(kernel, dtype=np.float64)
 

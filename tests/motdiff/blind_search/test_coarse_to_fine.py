@@ -8,7 +8,7 @@ import torch
 from dead_leaves import dead_leaves
 
 from motdiff.blind_search import coarse_to_fine
-from motdiff.blind_search.coarse_to_fine import PmpSettings, estimate_kernels
+from motdiff.blind_search.coarse_to_fine import PmpSettings, Start, estimate_kernels
 from motdiff.blind_search.latent import l0_pmp_latent
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
@@ -23,8 +23,8 @@ def test_a_batch_gives_what_its_photos_give_alone():
     light = torch.from_numpy(np.clip(photo, 0, 1).astype(np.float32))
     one, two = light[:160, :160], light[40:200, 40:200]
     with torch.no_grad():
-        together = estimate_kernels(torch.stack([one, two])[:, None], size=21)
-        alone = [estimate_kernels(photo[None, None], size=21)[0] for photo in (one, two)]
+        together = estimate_kernels(torch.stack([one, two])[:, None], Start(21))
+        alone = [estimate_kernels(photo[None, None], Start(21))[0] for photo in (one, two)]
     for i in range(2):  # hard thresholds magnify the last digit, which differs between processors
         assert mnc_subpixel(together[i].double().numpy(), alone[i].double().numpy()) > 0.98
 
@@ -49,7 +49,7 @@ def test_each_scale_has_its_alternations_and_the_refinement_closes_where_all_gra
     )
     settings = PmpSettings(iterations=3, last_iterations=2, fine_weights=fine, sigma=0.01)
     light = torch.from_numpy(dead_leaves(60, 0).astype(np.float32))[None, None]
-    kernel = estimate_kernels(light, size=13, settings=settings)
+    kernel = estimate_kernels(light, Start(13), settings=settings)
     on_the_way = [True] * 3 + [False] * len(fine)
     assert (
         seen == [(side, salient) for side in (7, 11) for salient in on_the_way] + [(13, True)] * 2
@@ -68,13 +68,11 @@ def test_looking_at_all_gradients_at_each_scale_brings_the_search_nearer():
         photo = blur_valid(dead_leaves(190, seed), psf)
         photo = np.clip(photo + np.random.default_rng(seed).normal(0, 0.005, photo.shape), 0, 1)
         light = torch.from_numpy(photo.astype(np.float32))[None, None]
-        salient = replace(
-            PmpSettings.for_noise(0.005), iterations=2, sparsity=1.0, fine_weights=()
-        )
+        salient = PmpSettings(0.005, iterations=2, fine_weights=())
         fine = replace(salient, fine_weights=PmpSettings().fine_weights)
         with torch.no_grad():
             found = [
-                estimate_kernels(light, size=29, settings=settings)[0].numpy()
+                estimate_kernels(light, Start(29, sparsity=1.0), settings=settings)[0].numpy()
                 for settings in (salient, fine)
             ]
         gains.append(mnc_subpixel(found[1], psf) - mnc_subpixel(found[0], psf))

@@ -4,9 +4,10 @@ is left out."""
 import numpy as np
 import pytest
 
+from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.fusion import cut_alike, fuse
-from motdiff.estimators.pmp.estimator import PmpEstimator, Start
+from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory

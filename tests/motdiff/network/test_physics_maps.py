@@ -6,10 +6,10 @@ import pytest
 import torch
 from scipy import signal
 
+from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.metrics import mnc
 from motdiff.network.physics_maps import (
     QUICK_STARTS,
-    QuickStart,
     autocorrelation,
     physics_maps,
     quick_kernels,
@@ -194,7 +194,7 @@ def test_quick_kernels_end_each_scale_on_all_gradients_unless_told_otherwise():
         None, None
     ]
     usual, closed, open_ = (
-        quick_kernels(photos, starts=(QuickStart(15, 1.0),), **options)
+        quick_kernels(photos, starts=(Start(15, 1.0),), **options)
         for options in ({}, {"fine_weights": (1e-3, 3e-4)}, {"fine_weights": ()})
     )
     torch.testing.assert_close(usual, closed, rtol=0, atol=0)
@@ -203,7 +203,7 @@ def test_quick_kernels_end_each_scale_on_all_gradients_unless_told_otherwise():
 
 def test_quick_kernels_of_a_flat_photo_are_still_kernels():
     kernels = quick_kernels(
-        torch.full((1, 1, 64, 64), 1.0), starts=(QuickStart(15, 1.0), QuickStart(21, 1.0))
+        torch.full((1, 1, 64, 64), 1.0), starts=(Start(15, 1.0), Start(21, 1.0))
     )
     torch.testing.assert_close(kernels.sum(dim=(2, 3)), torch.ones(1, 2))
 

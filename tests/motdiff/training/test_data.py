@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch.nn import functional
 
+from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.blind_search.grids import mirrored
-from motdiff.network.physics_maps import QuickStart, display_photo, physics_maps, quick_kernels
+from motdiff.network.physics_maps import display_photo, physics_maps, quick_kernels
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.training import samples as samples_module
 from motdiff.training.data import Batch, LiveSource, PreparedSource, seed_of
@@ -241,7 +242,7 @@ def test_each_motion_meets_each_scene(bank, scenes):
 
 
 def test_a_live_batch_holds_what_the_network_takes(bank, scenes, monkeypatch):
-    starts = (QuickStart(9, 1.0), QuickStart(11, 1.0), QuickStart(13, 1.0))
+    starts = (Start(9, 1.0), Start(11, 1.0), Start(13, 1.0))
     monkeypatch.setattr(
         samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)
     )

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.network.physics_maps import QuickStart, quick_kernels
+from motdiff.blind_search.coarse_to_fine import Start
+from motdiff.network.physics_maps import quick_kernels
 from motdiff.training import prepared
 from motdiff.training import samples as samples_module
 from motdiff.training.motion_bank import MotionMix, bank_of, drawn_motions
@@ -25,7 +26,7 @@ def small_search():
     the kernels' worth."""
     threads = torch.get_num_threads()
     with pytest.MonkeyPatch.context() as patch:
-        starts = (QuickStart(9, 1.0), QuickStart(15, 3.0))
+        starts = (Start(9, 1.0), Start(15, 3.0))
         patch.setattr(
             samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)
         )

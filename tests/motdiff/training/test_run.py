@@ -19,8 +19,9 @@ import pytest
 import torch
 from children import child
 
+from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.network import NetworkConfig
-from motdiff.network.physics_maps import QuickStart, quick_kernels
+from motdiff.network.physics_maps import quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module
 from motdiff.training.checkpoint import read_checkpoint
@@ -56,7 +57,7 @@ def small_search():
     """Small frames instead of the three of the training, and one thread."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    starts = tuple(QuickStart(size, 1.0) for size in (9, 11, 13))
+    starts = tuple(Start(size, 1.0) for size in (9, 11, 13))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)

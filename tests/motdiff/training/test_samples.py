@@ -7,9 +7,10 @@ import pytest
 import torch
 from torch.nn import functional
 
+from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.blind_search.grids import shifted
 from motdiff.network.condition import PHOTO_PX
-from motdiff.network.physics_maps import QuickStart, quick_kernels
+from motdiff.network.physics_maps import quick_kernels
 from motdiff.training import samples as samples_module
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.photos import crops
@@ -26,7 +27,7 @@ def small_search():
     the kernels' worth."""
     threads = torch.get_num_threads()
     with pytest.MonkeyPatch.context() as patch:
-        starts = (QuickStart(9, 1.0), QuickStart(15, 3.0))
+        starts = (Start(9, 1.0), Start(15, 3.0))
         patch.setattr(
             samples_module, "quick_kernels", partial(quick_kernels, starts=starts, iterations=1)
         )

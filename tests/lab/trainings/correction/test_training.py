@@ -20,7 +20,7 @@ from lab.trainings.correction.samples import (
     searched,
 )
 from lab.trainings.correction.training import Settings, Trainer, corrected_mnc, train
-from motdiff.estimators.pmp.estimator import Start
+from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.metrics import mnc
 from motdiff.network.correction import MAPS, CorrectionNetwork
 from motdiff.training.motion_bank import MotionMix

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from lab.evaluation.methods import NetworkAlone, named_estimators
+from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.blind_search.grids import mirrored
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.motdiff import correcting, drawing
@@ -15,7 +16,7 @@ from motdiff.estimators.motdiff import estimator as module
 from motdiff.estimators.motdiff.correcting import corrected_kernel, in_odd_frames
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
-from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, Start, planned
+from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned
 from motdiff.metrics import mnc_subpixel
 from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps

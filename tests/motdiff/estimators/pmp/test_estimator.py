@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from dead_leaves import dead_leaves
 
-from motdiff.estimators.pmp.estimator import PmpEstimator, Start, planned
+from motdiff.blind_search.coarse_to_fine import Start
+from motdiff.estimators.pmp.estimator import PmpEstimator, planned
 from motdiff.metrics import mnc_subpixel
 from motdiff.progress import Progress
 from motdiff.simulate import blur_valid
