@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from cep.files.code_files import StoredCode
     from cep.optics.camera import Camera
     from cep.optics.code import ShutterCode
-    from cep.plots.mtf_curves import MtfComparison
+    from cep.plots.codes import MtfRow
     from cep.proofs.audit import Audit
     from cep.proofs.measure import FigureOfMerit
     from cep.proofs.verify import Verdict
@@ -303,8 +303,8 @@ def mtf(options: MtfOptions) -> None:
     Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
     """
     from cep.codes.sources import code_label, load_code
-    from cep.plots import check_figure_name
-    from cep.plots.mtf_curves import OPEN, compare_mtfs
+    from cep.plots import check_figure_name, mtf_figure, save
+    from cep.plots.codes import OPEN, compare_mtfs
 
     check_figure_name(options.output)
     motion = options.load_motion().trajectory
@@ -319,27 +319,34 @@ def mtf(options: MtfOptions) -> None:
     with progress("drawing"):
         curves = compare_mtfs(motion, codes, figures=figures, on_checked=outputs.check)
     finish(
-        {"image": options.output, "curves": curves.to_dict(), "seed": options.seed},
+        {
+            "image": options.output,
+            "curves": {name: row.to_dict() for name, row in curves.items()},
+            "seed": options.seed,
+        },
         [_mtf_table(curves, options.output)],
         as_json=options.as_json,
         outputs=outputs,
-        save=lambda temporary: curves.save(temporary[options.output]),
+        save=lambda temporary: save(
+            mtf_figure(motion, {name: row.code for name, row in curves.items()}),
+            temporary[options.output],
+        ),
         tables=options.tables,
     )
 
 
-def _mtf_table(curves: MtfComparison, output: Path) -> Table:
-    from cep.plots.mtf_curves import OPEN
+def _mtf_table(curves: Mapping[str, MtfRow], output: Path) -> Table:
+    from cep.plots.codes import OPEN
     from cep.proofs.measure import figure_head, figure_in_words
 
-    heads = (figure_head(*item) for item in curves.rows[OPEN].figures.items())
+    heads = (figure_head(*item) for item in curves[OPEN].figures.items())
     rows = [
         (
             name,
             *(row.metrics.in_words(figure) for figure in ("min_mtf", "noise_gain_db", "mse_db")),
             *map(figure_in_words, row.figures.values()),
         )
-        for name, row in curves.rows.items()
+        for name, row in curves.items()
     ]
     columns = ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads)
     return Table(str(output), columns, rows)

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.limits import CLOSED, MOST_NUMBERS, OPEN, OVER, Limits, RunLimits, Step
+from cep.search.limits import CLOSED, MOST_NUMBERS, OVER, Limits, RunLimits, Step
 from motdiff.types import BoolArray
 
 _NEVER = 1 << 30  # pulses, or changes, of a code that does not exist: sums of two fit in int64
@@ -122,19 +122,14 @@ def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np
     cost = np.full((3, n + 1, high + 1, most_pulses + 1), _NEVER, dtype=np.int64)
     cost[OVER, :, 0] = 0  # what follows is counted by the step that leads there
     for i in reversed(range(n + 1)):
-        for state in (CLOSED, OPEN):
-            for step in steps[state]:
-                if step.fits[i] and step.open_chips <= high:
-                    starts = min(step.pulses, most_pulses)
-                    after = i + step.open_chips + step.closed_chips
-                    target = cost[state, i, step.open_chips :, starts:]
-                    total_changes = cost[
-                        step.next_state,
-                        after,
-                        : high + 1 - step.open_chips,
-                        : most_pulses + 1 - starts,
-                    ] + changes(i, step)
-                    np.minimum(target, total_changes, out=target)
+        for step in steps:
+            if step.fits[i] and step.open_chips <= high:
+                starts = min(step.pulses, most_pulses)
+                after = i + step.open_chips + step.closed_chips
+                target = cost[step.state, i, step.open_chips :, starts:]
+                counts, pulses = target.shape
+                total_changes = cost[step.next_state, after, :counts, :pulses] + changes(i, step)
+                np.minimum(target, total_changes, out=target)
     k = max(limits.open_range[0], 1)
     k += int(cost[CLOSED, 0, k:, most_pulses].argmin())
     state = CLOSED
@@ -142,10 +137,11 @@ def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np
     pulses_left = most_pulses
     nearest_code = np.zeros(n, dtype=np.int8)
     while state != OVER:
-        for step in steps[state]:
+        for step in steps:
             starts = min(step.pulses, most_pulses)
             after = i + step.open_chips + step.closed_chips
-            if not step.fits[i] or step.open_chips > k or starts > pulses_left:
+            possible = step.fits[i] and step.open_chips <= k and starts <= pulses_left
+            if step.state != state or not possible:
                 continue
             # costs are whole numbers: equality finds the step that the minimum came from
             if (

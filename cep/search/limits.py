@@ -30,6 +30,8 @@ class Step(NamedTuple):
 
     Attributes
     ----------
+    state : int
+        State that it leads on from: CLOSED or OPEN.
     open_chips, closed_chips : int
         Chips that it opens, and then closes.
     next_state : int
@@ -40,6 +42,7 @@ class Step(NamedTuple):
         Whether the code's length allows it at each chip.
     """
 
+    state: int
     open_chips: int
     closed_chips: int
     next_state: int
@@ -169,26 +172,27 @@ class Limits:
             return None
         return self.runs.max_pulses
 
-    def steps(self) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
-        """List the steps from CLOSED and those from OPEN."""
+    def steps(self) -> list[Step]:
+        """List the steps from CLOSED, then those from OPEN."""
         gap = self.runs.min_closed
 
-        def step(open_chips: int, closed_chips: int, next_state: int, pulses: int = 0) -> Step:
+        def step(state: int, open_chips: int, closed_chips: int, next_state: int) -> Step:
             fits = np.arange(self.chips + 1) + open_chips + closed_chips <= self.chips
-            return Step(open_chips, closed_chips, next_state, pulses, fits)
+            starts = int(state == CLOSED and open_chips > 0)
+            return Step(state, open_chips, closed_chips, next_state, starts, fits)
 
         bounded = self.longest < self.chips  # then each length of a pulse is a step of its own
         # longer pulses may last and end as they like: nothing needs to remember when they began
         free = min(max(self.runs.min_open, self.runs.min_period - gap), self.chips + 1)
-        from_closed = [step(0, 1, CLOSED)]
+        steps = [step(CLOSED, 0, 1, CLOSED)]
         if not bounded:
-            from_closed.append(step(free, 0, OPEN, 1))
+            steps.append(step(CLOSED, free, 0, OPEN))
         for length in range(self.runs.min_open, self.longest + 1 if bounded else free):
-            from_closed += [
-                step(length, max(gap, self.runs.min_period - length), CLOSED, 1),
-                step(length, 0, OVER, 1),
+            steps += [
+                step(CLOSED, length, max(gap, self.runs.min_period - length), CLOSED),
+                step(CLOSED, length, 0, OVER),
             ]
-        return tuple(from_closed), (step(1, 0, OPEN), step(0, gap, CLOSED), step(0, 0, OVER))
+        return [*steps, step(OPEN, 1, 0, OPEN), step(OPEN, 0, gap, CLOSED), step(OPEN, 0, 0, OVER)]
 
     def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
         """Which of (R, n) codes keep every limit, (R,) bool."""

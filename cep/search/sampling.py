@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import zip_longest
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.limits import CLOSED, MOST_NUMBERS, OPEN, OVER, Limits, Step
+from cep.search.limits import CLOSED, MOST_NUMBERS, OPEN, OVER, Limits
 from motdiff.types import FloatArray
 
 IntArray = NDArray[np.intp]
@@ -118,16 +116,6 @@ def _filled(
 # -- otherwise: walks -----------------------------------------------------------------------------
 
 
-class _StepTables(NamedTuple):
-    """Steps from CLOSED and OPEN as :class:`cep.search.limits.Step` has them, (2, S)."""
-
-    open_chips: IntArray
-    closed_chips: IntArray
-    next_state: IntArray
-    pulses: IntArray
-    fits: NDArray[np.bool_]  # (2, S, n + 1)
-
-
 @dataclass(frozen=True)
 class _Walks:
     """Logarithms of the number of ways to go on: state, position, open chips and pulses left.
@@ -138,7 +126,6 @@ class _Walks:
 
     limits: Limits
     log_counts: FloatArray  # (3, n + 1, K, P)
-    steps: _StepTables
     # steps along the axis of open chips that one of them takes: 1, or 0 when they are free
     opens: int
     pulses: int
@@ -152,7 +139,8 @@ class _Walks:
 
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
         n = self.limits.chips
-        steps = self.steps
+        columns = map(np.array, zip(*self.limits.steps(), strict=True))
+        source, opened, closed, target, pulses, fits = columns  # (S,), and (S, n + 1) of fits
         open_left = _pick(self.by_count, count, rng) + self.opens * self.limits.open_range[0]
         budget = np.full(count, self.log_counts.shape[3] - 1)
         place = np.zeros(count, dtype=np.intp)
@@ -161,43 +149,35 @@ class _Walks:
         rows = np.arange(count)
         while rows.size:
             position = place[rows]
-            from_state = state[rows]
-            open_chips = steps.open_chips[from_state].T  # (S, R)
-            next_state = steps.next_state[from_state].T
-            starts = steps.pulses[from_state].T
-            after = position + open_chips + steps.closed_chips[from_state].T
-            k = open_left[rows] - self.opens * open_chips
-            p = budget[rows] - self.pulses * starts
-            possible = steps.fits[from_state, :, position].T & (k >= 0) & (p >= 0)
-            log_count = (
-                self.log_counts[next_state, np.minimum(after, n), k.clip(0), p.clip(0)]
-                + self.tilt * starts
-            )
+            # (S, R): every step of every walk
+            after = position + (opened + closed)[:, None]
+            k = open_left[rows] - self.opens * opened[:, None]
+            p = budget[rows] - self.pulses * pulses[:, None]
+            possible = (source[:, None] == state[rows]) & fits[:, position] & (k >= 0) & (p >= 0)
+            log_count = self.log_counts[
+                target[:, None], np.minimum(after, n), k.clip(0), p.clip(0)
+            ]
             # the counts themselves may overflow: weights relative to the largest
-            weights = np.where(possible, log_count, -np.inf)
+            weights = np.where(possible, log_count + self.tilt * pulses[:, None], -np.inf)
             share = np.cumsum(np.exp(weights - weights.max(axis=0)), axis=0)
             # a product rounded up to the total would pick the last step, possible or not
             threshold = np.minimum(rng.random(rows.size) * share[-1], np.nextafter(share[-1], 0))
-            chosen = (threshold >= share[:-1]).sum(axis=0), np.arange(rows.size)
-            edges[rows, position] += starts[chosen].astype(np.int8)
-            pulse_ends = ((from_state == OPEN) | (starts[chosen] == 1)) & (
-                next_state[chosen] != OPEN
-            )
-            edges[rows, position + open_chips[chosen]] -= pulse_ends.astype(np.int8)
-            place[rows], open_left[rows], budget[rows], state[rows] = (
-                after[chosen],
-                k[chosen],
-                p[chosen],
-                next_state[chosen],
-            )
-            rows = rows[next_state[chosen] != OVER]
+            step = (threshold >= share[:-1]).sum(axis=0)
+            edges[rows, position] += pulses[step].astype(np.int8)
+            pulse_ends = ((source[step] == OPEN) | (pulses[step] == 1)) & (target[step] != OPEN)
+            edges[rows, position + opened[step]] -= pulse_ends.astype(np.int8)
+            chosen = step, np.arange(rows.size)
+            place[rows] = after[chosen]
+            open_left[rows] = k[chosen]
+            budget[rows] = p[chosen]
+            state[rows] = target[step]
+            rows = rows[target[step] != OVER]
         return np.cumsum(edges, axis=1, dtype=np.int8)[:, :-1]
 
 
 @lru_cache(maxsize=2)
 def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
     n = limits.chips
-    steps = limits.steps()
     most_pulses = None
     if counting_pulses:
         most_pulses = limits.most_pulses
@@ -207,23 +187,13 @@ def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
         (3, n + 1, limits.open_range[1] * opens + 1, (most_pulses or 0) + 1), -np.inf
     )
     log_counts[OVER, :, 0] = 0.0
+    steps = limits.steps()
     for i in reversed(range(n + 1)):
-        for state in (CLOSED, OPEN):
-            for open_chips, closed_chips, next_state, starts, fits in steps[state]:
-                if fits[i]:
-                    onwards = log_counts[next_state, i + open_chips + closed_chips] + tilt * starts
-                    _add(log_counts[state, i], onwards, open_chips * opens, pulses * starts)
-    # the state with fewer steps is given some that never fit
-    rows = list(
-        zip(
-            *zip_longest(*steps, fillvalue=Step(0, 0, OVER, 0, np.zeros(n + 1, dtype=np.bool_))),
-            strict=True,
-        )
-    )
-    columns = (
-        [[step[field] for step in row] for row in rows] for field in range(len(Step._fields))
-    )
-    return _Walks(limits, log_counts, _StepTables(*map(np.array, columns)), opens, pulses, tilt)
+        for state, open_chips, closed_chips, next_state, starts, fits in steps:
+            if fits[i]:
+                onwards = log_counts[next_state, i + open_chips + closed_chips] + tilt * starts
+                _add(log_counts[state, i], onwards, open_chips * opens, pulses * starts)
+    return _Walks(limits, log_counts, opens, pulses, tilt)
 
 
 def _add(total: FloatArray, log_counts: FloatArray, opens: int, pulses: int) -> None:

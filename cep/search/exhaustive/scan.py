@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.annealing.proposals import Limits
+from cep.search.annealing.proposals import Limits, keeps_runs
 
 INNER = 10  # chips of a block: its 1024 bits are two vector registers
 BYTES = 6  # of a code: 48 chips at most
@@ -225,6 +225,7 @@ def scan(
     # in fixed point, where a shift finds the cell, and a sum of parts has no rounding of its own
     outer_sums = np.zeros(2 * first_cell.size, np.int32)
     alive = np.zeros(inner_left.shape[1], np.uint64)
+    chips = np.zeros(limits.chips, np.int8)
     words = alive.size
     frequencies = first_cell.size
     side = np.int32(grid)
@@ -304,8 +305,11 @@ def scan(
                         )
                         bits &= bits - np.uint64(1)
                         counts[1] += 1
-                        if limits.constrained and not keeps_runs(code, limits):
-                            continue
+                        if limits.constrained:
+                            for chip in range(chips.size):
+                                chips[chip] = (code >> np.uint64(chip)) & np.uint64(1)
+                            if not keeps_runs(chips, limits):
+                                continue
                         counts[2] += 1
                         if _reaches(code, dense, limit2):
                             counts[3] += 1
@@ -324,32 +328,6 @@ def _ones(word: np.uint64) -> int:
         word &= word - np.uint64(1)
         count += 1
     return count
-
-
-@compiled
-def keeps_runs(code: np.uint64, limits: Limits) -> bool:
-    """Whether every run limit holds; of a closed end only the code before it counts."""
-    pulses = 0
-    run = limits.min_closed
-    is_open = False
-    since = 0
-    while code:
-        bit = (code & np.uint64(1)) != 0
-        if bit != is_open:
-            if is_open:
-                if run < limits.min_open or run > limits.max_open:
-                    return False
-            elif pulses > 0 and (run < limits.min_closed or since < limits.min_period):
-                return False
-            if bit:
-                pulses = pulses + 1
-                since = 0
-            is_open = bit
-            run = 0
-        run += 1
-        since += 1
-        code >>= np.uint64(1)
-    return pulses <= limits.max_pulses and limits.min_open <= run <= limits.max_open
 
 
 def possible(

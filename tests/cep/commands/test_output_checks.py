@@ -62,7 +62,7 @@ WORK = (
     "cep.calibration.calibrate.make_method",
     "cep.search.optimize.search",
     "cep.proofs.audit.certify",
-    "cep.plots.mtf_curves.mtf_curve",
+    "cep.plots.codes.mtf_curve",
     "cep.restoration.restore.restore",
     "hw.drivers.cxp.open_link",
     "cep.shutter.playback.read_capture",
