@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
-from functools import cache
+from collections.abc import Mapping
+from dataclasses import dataclass
 from types import MappingProxyType
 
-import numpy as np
-
 from cep.optics.code import ShutterCode
-from cep.proofs.certify.minimum import min_chip
 
 _BITS = {
     "raskar-52": (("raskar2006",), "", "1010000111000001010000110011110111010111001001100111"),
@@ -76,9 +72,14 @@ _JEON_HEX = {
     190: "12CBFD0221072F92F972F0E2660C6192B02D89A2A6B11DC5",
     200: "7302CA07604A05BC6937C5BB2A2AC848B5AED76A600E3F170E",
 }
-# primitive polynomials x^a + x^b + 1 over GF(2), by the period 2^a - 1
-_TAPS = {15: (4, 3), 31: (5, 3), 63: (6, 5), 127: (7, 6)}
-_PRIMES = (31, 43, 53, 61)
+# in hex as well, each in the rotation of largest min |P|: one exposure is not periodic
+_M_SEQUENCE_HEX = {
+    15: "09AF",
+    31: "3A84B3E3",
+    63: "64B766AFC10C53D1",
+    127: "7438936B7B1A5DCCABF8106147916753",
+}
+_LEGENDRE_HEX = {31: "62B849DB", 43: "78B8235B29D", 53: "0B81981D769CB7", 61: "19A502967C8EEE27"}
 
 
 @dataclass(frozen=True)
@@ -93,20 +94,17 @@ class PublishedCode:
         Keys of ``cep/files/works.bib``.
     note : str
         How the code comes from them.
-    periodic : bool
-        Whether each of its rotations is the same sequence; the best one is taken.
     """
 
     name: str
     code: ShutterCode
     works: tuple[str, ...]
     note: str = ""
-    periodic: bool = False
 
 
 def names() -> tuple[str, ...]:
     """Names of all codes, shortest first."""
-    return tuple(_registry())
+    return tuple(_REGISTRY)
 
 
 def published(name: str) -> PublishedCode:
@@ -117,105 +115,36 @@ def published(name: str) -> PublishedCode:
     ValueError
         If there is none; the line lists the names.
     """
-    if name not in _registry():
+    if name not in _REGISTRY:
         raise ValueError(f"name: no published code {name!r}; there are {', '.join(names())}")
-    return _rotated(name)
-
-
-def published_works(name: str) -> tuple[str, ...]:
-    """Keys of the works that a code comes from, without the search of its best rotation."""
-    return _registry()[name].works
+    return _REGISTRY[name]
 
 
 def for_chips(chips: int) -> tuple[PublishedCode, ...]:
     """All codes of ``chips`` chips."""
-    return tuple(
-        _rotated(name) for name, entry in _registry().items() if entry.code.chips == chips
-    )
+    return tuple(entry for entry in _REGISTRY.values() if entry.code.chips == chips)
 
 
-def m_sequence(chips: int) -> ShutterCode:
-    """Maximum-length sequence of 15, 31, 63 or 127 chips; its shift register starts all ones."""
-    if chips not in _TAPS:
-        raise ValueError(
-            f"chips: m-sequences of 15, 31, 63 or 127 chips are known here, got {chips}"
-        )
-    first, second = _TAPS[chips]
-    register = [1] * first
-    bits = []
-    for _ in range(chips):
-        bits.append(str(register[-1]))
-        register = [register[first - 1] ^ register[second - 1], *register[:-1]]
-    return ShutterCode("".join(bits))
-
-
-def legendre(prime: int) -> ShutterCode:
-    """Legendre sequence: chip i is open if i is 0 or a square modulo the odd ``prime``."""
-    if prime < 3 or any(prime % divisor == 0 for divisor in range(2, int(prime**0.5) + 1)):
-        raise ValueError(f"prime: must be an odd prime, got {prime}")
-    squares = {i * i % prime for i in range(prime)}  # 0 among them
-    return ShutterCode([i in squares for i in range(prime)])
-
-
-def best_rotation(code: ShutterCode) -> ShutterCode:
-    """Rotation of largest minimum |P|: one exposure is not periodic, so rotations differ."""
-    rotations = [
-        ShutterCode(code.bits[i:] + code.bits[:i], code.chip_ns) for i in range(code.chips)
-    ]
-    values = np.array([min_chip(rotation) for rotation in rotations])
-    # values of rotations that are mirror images agree only up to rounding
-    return rotations[int(np.flatnonzero(values >= values.max() * (1 - 1e-9))[0])]
-
-
-@cache
-def _registry() -> Mapping[str, PublishedCode]:
-    """All codes by name; periodic sequences as they are defined."""
+def _listed() -> list[PublishedCode]:
     entries = [
-        PublishedCode(name, ShutterCode(bits), keys, note)
-        for name, (keys, note, bits) in _BITS.items()
+        PublishedCode(name, ShutterCode(bits), works, note)
+        for name, (works, note, bits) in _BITS.items()
     ]
-    for n, digits in _JEON_HEX.items():
-        bits = f"{int(digits, 16):0{4 * len(digits)}b}"[-n:]  # leading zeros count as chips
-        entries.append(PublishedCode(f"jeon-{n}", ShutterCode(bits), ("jeon2013",)))
-    for n in _TAPS:
-        entries.append(
-            PublishedCode(f"m-sequence-{n}", m_sequence(n), ("golomb1967",), periodic=True)
-        )
-    for prime in _PRIMES:
-        entries.append(
-            PublishedCode(
-                f"legendre-{prime}",
-                legendre(prime),
-                ("gottesman1989",),
-                "Legendre sequence",
-                periodic=True,
-            )
-        )
+    families = (
+        ("jeon", ("jeon2013",), "", _JEON_HEX),
+        ("m-sequence", ("golomb1967",), "", _M_SEQUENCE_HEX),
+        ("legendre", ("gottesman1989",), "Legendre sequence", _LEGENDRE_HEX),
+    )
+    for family, works, note, hex_by_chips in families:
+        for chips, digits in hex_by_chips.items():
+            bits = f"{int(digits, 16):0{chips}b}"[-chips:]
+            entries.append(PublishedCode(f"{family}-{chips}", ShutterCode(bits), works, note))
     # shortest first, as tables and messages list them
-    entries.sort(key=lambda entry: (entry.code.chips, entry.name))
-    return MappingProxyType({entry.name: entry for entry in entries})
+    return sorted(entries, key=lambda entry: (entry.code.chips, entry.name))
 
 
-@cache
-def _rotated(name: str) -> PublishedCode:
-    """Return the entry of a name, a periodic sequence in its best rotation."""
-    entry = _registry()[name]
-    if entry.periodic:
-        return replace(entry, code=best_rotation(entry.code))
-    return entry
-
-
-class _LazyCodes(Mapping[str, ShutterCode]):
-    """The registry as name -> code; rotations are searched on first use, not on import."""
-
-    def __getitem__(self, name: str) -> ShutterCode:
-        return _rotated(name).code
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(_registry())
-
-    def __len__(self) -> int:
-        return len(_registry())
-
-
-PUBLISHED: Mapping[str, ShutterCode] = _LazyCodes()
+_REGISTRY = {entry.name: entry for entry in _listed()}
+PUBLISHED: Mapping[str, ShutterCode] = MappingProxyType(
+    {name: entry.code for name, entry in _REGISTRY.items()}
+)
+"""Codes by name."""

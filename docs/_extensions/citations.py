@@ -14,7 +14,7 @@ from types import MappingProxyType
 from works import Work, works
 
 from cep.codes.published import names as code_names
-from cep.codes.published import published_works
+from cep.codes.published import published
 from cep.restoration.registry import METHODS as RESTORATIONS
 from cep.search.objectives import OBJECTIVES
 from motdiff.estimators.registry import METHODS as ESTIMATORS
@@ -121,7 +121,7 @@ class Citations:
 @cache
 def citable() -> Mapping[str, Mapping[str, tuple[str, ...]]]:
     """Return the keys of the works behind each name, by kinds of names."""
-    codes = {name: published_works(name) for name in code_names()}
+    codes = {name: published(name).works for name in code_names()}
     return MappingProxyType({"published codes": codes, **_NAMES})
 
 
