@@ -1,1 +1,1 @@
-"""Tables of published shutter codes, that of deep coded exposure among them."""
+"""Published shutter codes, and codes by their bits, file or name."""

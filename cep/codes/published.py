@@ -43,14 +43,6 @@ CLAIMS: Mapping[str, tuple[int, float]] = MappingProxyType(
 """Minima that their authors claim, relative to DC, with the points of the DFT they were read
 from."""
 
-DCE_CODE = ShutterCode("11000001010011111111010010001100")
-"""One code for all motions, learned with a restoration network after Zhang et al., DCE, Photonics
-Research 2023.
-
-The paper publishes no code: this one comes from our training (``lab/trainings/dce``) and is no
-entry of the registry.
-"""
-
 # hex digits, most significant bit = first chip; the last n bits count
 _JEON_HEX = {
     30: "16A3809B",

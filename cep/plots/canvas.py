@@ -128,17 +128,6 @@ def show_photo(axes: Axes, image: FloatArray) -> None:
     axes.set_yticks([])
 
 
-def show_inset(axes: Axes, psf: FloatArray, *, share: float, cmap: str) -> None:
-    """Draw the square root of a PSF, which shows faint parts, in the upper left corner.
-
-    It is ``share`` of the axes wide.
-    """
-    corner = axes.inset_axes((0, 1 - share, share, share))
-    corner.imshow(np.sqrt(np.maximum(psf, 0)), cmap=cmap, interpolation="nearest")
-    corner.set_xticks([])
-    corner.set_yticks([])
-
-
 def thumbnail(image: ArrayLike, longest_px: int) -> FloatArray:
     """Shrink by whole-number box means: of linear light, so that it stays as bright."""
     pixels = np.asarray(image, dtype=np.float64)

@@ -13,7 +13,6 @@ from cep.optics.band import BandSamples, band_samples, grid_samples, straight_ax
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_rows, coded_sum, distinct_rows
-from cep.optics.mtf import wiener_mse
 from cep.optics.response import ShutterResponse, open_time
 from cep.optics.scene import PHOTO, Scene, inverse_scene, noise_variance
 from cep.search.problem import Scenario, SearchProblem
@@ -114,13 +113,14 @@ class ExpectedPsnr:
     ) -> None:
         if not (np.isfinite(path_error_px) and path_error_px >= 0):
             raise ValueError(f"path_error_px: must be 0 px or more, got {path_error_px:g}")
-        _check_moves(problem)
+        if not problem.scenarios:
+            raise ValueError("scenarios: need a motion to expect a restoration along")
         self.problem = problem
         rng = np.random.default_rng(0)  # the same draws for all codes: only they differ
         self._motions = [
             [
                 _DirectedMotion(problem, directed, path_error_px, rng)
-                for directed in _directed(problem, scenario)
+                for directed in directed_scenarios(problem, scenario)
             ]
             for scenario in problem.scenarios
         ]
@@ -147,55 +147,10 @@ class ExpectedPsnr:
             [motion.error(chips, variances) for motion in directions]
             for directions in self._motions
         ]
-        return _psnr_db(self.problem, errors)
+        return worst_psnr_db(self.problem, errors)
 
 
-def joint_psnr_db(
-    problem: SearchProblem, codes: Sequence[ShutterCode], *, noise: ArrayLike
-) -> FloatArray:
-    """PSNR, dB, of the best linear restoration from several frames, one through each code, (L,).
-
-    The least mean square error is the mean over the band of ``1 / (1 / S + sum over frames of
-    |H|^2 / N)``. M frames through the same code are as good as one with an Mth of the noise.
-
-    Parameters
-    ----------
-    problem : SearchProblem
-        As of :class:`ExpectedPsnr`.
-    codes : sequence of ShutterCode
-        Of each frame.
-    noise : (L, R) array_like
-        Variance through each code, for L cases.
-
-    Raises
-    ------
-    ValueError
-        If the problem has no motion.
-    """
-    chips = np.array([code.array for code in codes])
-    variances = np.atleast_2d(np.asarray(noise, dtype=np.float64))
-
-    def error(scenario: Scenario) -> FloatArray:
-        samples = _samples(scenario.trajectory, exact=True)
-        power = np.abs(coded_sum(_rows(problem, scenario, samples), chips)) ** 2
-        # frames add up as |H|^2 / N: noise of 1 is left
-        powers = [(power / variance[:, None]).sum(axis=0) for variance in variances]
-        return np.array([wiener_mse(total, samples, 1.0, scene=problem.scene) for total in powers])
-
-    _check_moves(problem)
-    errors = [
-        [error(directed) for directed in _directed(problem, scenario)]
-        for scenario in problem.scenarios
-    ]
-    return _psnr_db(problem, errors)
-
-
-def _check_moves(problem: SearchProblem) -> None:
-    if not problem.scenarios:
-        raise ValueError("scenarios: need a motion to expect a restoration along")
-
-
-def _directed(problem: SearchProblem, scenario: Scenario) -> list[Scenario]:
+def directed_scenarios(problem: SearchProblem, scenario: Scenario) -> list[Scenario]:
     """Return the scenario in each direction that counts, its path thinned."""
     paths = [
         scenario.path(reversed_path=reversed_path)
@@ -204,8 +159,8 @@ def _directed(problem: SearchProblem, scenario: Scenario) -> list[Scenario]:
     return [replace(scenario, trajectory=path.thinned(_TOLERANCE_PX)) for path in paths]
 
 
-def _psnr_db(problem: SearchProblem, errors: Sequence[Sequence[FloatArray]]) -> FloatArray:
-    """PSNR from the mean square errors by motion and direction: the worse direction counts."""
+def worst_psnr_db(problem: SearchProblem, errors: Sequence[Sequence[FloatArray]]) -> FloatArray:
+    """Return the PSNR, dB, of errors by motion and direction: the worse direction counts."""
     errors_db = [10 * np.log10(np.max(along, axis=0)) for along in errors]
     if problem.rule == "mean":
         weights = np.array([scenario.weight for scenario in problem.scenarios])
@@ -229,7 +184,7 @@ class _DirectedMotion:
         self._paths = [path]
         if path_error_px > 0:
             self._paths = list(_perturbed_paths(path, path_error_px, rng))
-        self._samples = _samples(path, exact=len(self._paths) == 1)
+        self._samples = motion_samples(path, exact=len(self._paths) == 1)
         self._otfs: list[NDArray[np.complex64]] | None = None
 
     @property
@@ -282,10 +237,11 @@ class _DirectedMotion:
 
     def _all_rows(self) -> Iterator[NDArray[np.complex128]]:
         for path in self._paths:
-            yield _rows(self._problem, replace(self._scenario, trajectory=path), self._samples)
+            scenario = replace(self._scenario, trajectory=path)
+            yield motion_rows(self._problem, scenario, self._samples)
 
 
-def _rows(
+def motion_rows(
     problem: SearchProblem, scenario: Scenario, samples: BandSamples
 ) -> NDArray[np.complex128]:
     """OTFs of the chips at the samples, (n, V, frequencies)."""
@@ -295,7 +251,7 @@ def _rows(
     return distinct_rows(rows, problem.response)
 
 
-def _samples(path: Trajectory, *, exact: bool) -> BandSamples:
+def motion_samples(path: Trajectory, *, exact: bool) -> BandSamples:
     """Return samples finer than a search's, whose code may have valleys between them.
 
     An error of a curved path fills such valleys, and the search's samples do. One of a straight

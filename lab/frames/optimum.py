@@ -15,7 +15,7 @@ from cep.optics.mtf import HOPELESS_DB
 from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.anneal import Stopped
 from cep.search.baselines import mean_length_px
-from cep.search.expected import equal_light_noise, joint_psnr_db, light_noise
+from cep.search.expected import equal_light_noise, light_noise
 from cep.search.optimize import certificate_warnings
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
@@ -30,6 +30,7 @@ from cep.search.search import (
 from cep.search.verdict import Verdict
 from cep.search.ways import CODED, Choice, Way, WayFinder, best_possible, check_light, judged_ways
 from lab.frames.annealing import FramesResult, anneal_frames, joint_figures
+from lab.frames.expected import joint_psnr_db
 from motdiff.files.outputs import new_files
 
 

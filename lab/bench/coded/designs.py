@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cep.codes.published import DCE_CODE, published
+from cep.codes.published import published
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.baselines import best_snapshot, best_strobe, dnf_problem, median_random_code
@@ -16,6 +16,7 @@ from cep.search.objective import Objective
 from cep.search.problem import Scenario, SearchProblem
 from cep.search.search import Search, search
 from lab.class_code.motions import class_scenarios
+from lab.trainings.dce.code import DCE_CODE
 from motdiff.trajectory import Trajectory
 
 

@@ -11,11 +11,12 @@ import numpy as np
 
 from cep.files.foreign_text import plot_text
 from cep.optics.code import ShutterCode
-from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, new_figure, show_inset, show_photo
+from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, new_figure, show_photo
 from cep.plots.codes import mtf_curve
 from lab.bench.coded.designs import design_of
 from lab.bench.coded.protocol import paths_from
 from lab.bench.coded.stages import pictures_of
+from lab.bench.inset import show_inset
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import to_linear
 from motdiff.types import FloatArray

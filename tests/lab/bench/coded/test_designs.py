@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from coded_table import BENT, GUESS, TINY, chosen
 
-from cep.codes.published import DCE_CODE, published
+from cep.codes.published import published
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import measure
@@ -17,6 +17,7 @@ from lab.bench.coded.protocol import (
     class_motions,
     drawn_motions,
 )
+from lab.trainings.dce.code import DCE_CODE
 from motdiff.trajectory import Trajectory
 
 
