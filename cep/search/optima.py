@@ -9,7 +9,6 @@ import time
 from functools import cache
 from typing import NamedTuple
 
-from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import chip_minimum
 from cep.search.exhaustive.exact import BundledLog, ExactResult
@@ -169,10 +168,7 @@ def proven_starts(problem: SearchProblem) -> list[ShutterCode]:
     >>> [code.bits for code in proven_starts(SearchProblem.along(chips=5, open_range=(2, 4)))]
     ['11010', '11101']
     """
-    straight = all(
-        straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios
-    )
-    if not straight or "min-mtf" not in dict(problem.objective_mix):
+    if not problem.straight or "min-mtf" not in dict(problem.objective_mix):
         return []
     codes = (_within_limits(problem, entry) for entry in OPTIMA)
     return [code for code in codes if code is not None]

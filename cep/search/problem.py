@@ -8,7 +8,7 @@ from typing import Literal, TypedDict, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import uniform_length_px
+from cep.optics.band import straight_axis, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
@@ -258,6 +258,11 @@ class SearchProblem:
         if len(self.scenarios) != 1 or self.response is not None:
             return False
         return uniform_length_px(self.scenarios[0].trajectory) is not None
+
+    @property
+    def straight(self) -> bool:
+        """Whether every motion runs along a line; so does the unit circle's."""
+        return all(straight_axis(s.trajectory) is not None for s in self.scenarios)
 
     @property
     def objective_mix(self) -> tuple[tuple[str, float], ...]:

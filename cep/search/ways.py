@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cep.optics.band import ACROSS, straight_axis
+from cep.optics.band import ACROSS
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import SearchResult, anneal
@@ -127,11 +127,8 @@ class WayFinder:
 
     def __init__(self, problem: SearchProblem) -> None:
         problem = replace(problem, objective="mse")
-        straight = all(
-            straight_axis(scenario.trajectory) is not None for scenario in problem.scenarios
-        )
         self._fast = self._moved = Objective(problem, oversampling=_OVERSAMPLING)
-        long = straight and self._fast.rows.shape[-1] > _LONG_COLUMNS
+        long = problem.straight and self._fast.rows.shape[-1] > _LONG_COLUMNS
         oversampling = _OVERSAMPLING
         across = ACROSS
         if long:
@@ -181,11 +178,11 @@ class WayFinder:
             length + 2,
             *(round(f * length) for f in _LENGTH_FACTORS),
         }
-        lengths = sorted(chips for chips in candidates if 0 < chips < problem.chips)
-        objective = self._fast.for_problem(problem)
+        low, high = problem.open_limits
+        lengths = sorted(n for n in candidates if low <= n <= min(high, problem.chips - 1))
         codes = [
-            best_snapshot(objective.for_problem(limited), within_limits=True)
-            for limited in (_with_open(problem, chips) for chips in lengths)
+            best_snapshot(self._fast.for_problem(limited), within_limits=True)
+            for limited in (_with_open(problem, chips, chips) for chips in lengths)
             if limited is not None
         ]
         return [code for code in codes if code is not None]
@@ -286,19 +283,13 @@ def recordable(problem: SearchProblem, *, single: bool) -> SearchProblem | None:
     low, high = problem.open_range or (1, n)
     if most_open >= high:
         return problem
-    try:
-        return replace(problem, open_range=(low, most_open))
-    except ValueError:  # the limits ask for more open chips
-        return None
+    return _with_open(problem, low, most_open)
 
 
-def _with_open(problem: SearchProblem, chips: int) -> SearchProblem | None:
-    """Problem with exactly so many open chips; None where its limits leave none."""
-    low, high = problem.open_limits
-    if not low <= chips <= high:
-        return None
+def _with_open(problem: SearchProblem, low: int, high: int) -> SearchProblem | None:
+    """Problem with so many open chips; None where its limits leave no code."""
     try:
-        return replace(problem, open_range=(chips, chips))
+        return replace(problem, open_range=(low, high))
     except ValueError:
         return None
 

@@ -23,7 +23,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import (
     CHAINS,
@@ -339,10 +338,9 @@ def polish_jointly(problem: SearchProblem, ranked: Codes) -> Iterator[tuple[Code
         stop.
     """
     fine = judging_objective(problem)
-    curved = any(straight_axis(scenario.trajectory) is None for scenario in problem.scenarios)
     costs = np.concatenate([joint_cost(fine, codes[None]) for codes in ranked])
     # a curved path has so many more frequencies
-    leaders = np.argsort(costs, kind="stable")[: 1 if curved else 4]
+    leaders = np.argsort(costs, kind="stable")[: 4 if problem.straight else 1]
     best = ranked[leaders[0]]
     lowest = float(costs[leaders[0]])
     for number, leader in enumerate(leaders):

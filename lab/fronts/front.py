@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.optics.band import straight_axis, uniform_length_px
+from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
 from cep.optics.mtf import HOPELESS_DB
 from cep.search.annealing.anneal import Stopped
@@ -173,7 +173,7 @@ class Judge:
 
     def __init__(self, problem: SearchProblem) -> None:
         self._problem = replace(problem, objective="noise")
-        self.sampled_only = any(straight_axis(s.trajectory) is None for s in problem.scenarios)
+        self.sampled_only = not problem.straight
         coarse = int(np.clip(_SAMPLES // problem.chips, 8, 64))
         noise = Objective(self._problem, oversampling=coarse)
         self._coarse = (noise.instead("min-mtf"), noise)

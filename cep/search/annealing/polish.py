@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
-from cep.optics.band import straight_axis
 from cep.optics.code import ShutterCode
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
@@ -62,7 +61,7 @@ def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Po
     """
     evaluated = len(ranked)
     climbed = 6
-    if any(straight_axis(s.trajectory) is None for s in fine.problem.scenarios):
+    if not fine.problem.straight:
         # a minimum over a plane of frequencies takes so much longer than one along a line
         evaluated = 4
         climbed = 1

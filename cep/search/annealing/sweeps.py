@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled, inlined
-from cep.optics.band import straight_axis
 from cep.search.annealing.proposals import uniform
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
@@ -61,7 +60,7 @@ def swept(problem: SearchProblem) -> bool:
         return False
     if [name for name, _ in problem.objective_mix] != ["min-mtf"] or len(problem.ways()) > 1:
         return False
-    return all(straight_axis(s.trajectory) is not None for s in problem.scenarios)
+    return problem.straight
 
 
 def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:

@@ -351,15 +351,15 @@ class _Proof:
     def log(self, minimum: Minimum) -> ProofLog:
         """Log the proof, with the certified minimum of the best code."""
         best = self.best
-        high = self.problem.open_limits[1]
+        low, high = self.problem.open_limits
         # until all is judged: mean |P|^2 is the number of open chips; |H| nowhere exceeds the duty
         upper = float(np.sqrt(high)) if best.on_circle else high / self.problem.chips
         if all(entry.complete for entry in self.logs.values()):
             upper = best.ceiling
         return ProofLog(
             chips=self.problem.chips,
-            limits=self._limits(),
-            domain=self._domain(),
+            limits={"fewest_open": low, "most_open": high} | asdict(self.problem.runs),
+            domain="the unit circle" if best.on_circle else f"{best.basis.shape[1]} band samples",
             lengths=tuple(self.logs.values()),
             margin=MARGIN,
             bits=best.bits,
@@ -367,15 +367,6 @@ class _Proof:
             upper=upper,
             versions={name: version(name) for name in ("numpy", "numba")},
         )
-
-    def _limits(self) -> dict[str, int | str | None]:
-        low, high = self.problem.open_limits
-        return {"fewest_open": low, "most_open": high} | asdict(self.problem.runs)
-
-    def _domain(self) -> str:
-        if self.best.on_circle:
-            return "the unit circle"
-        return f"{self.best.basis.shape[1]} band samples"
 
 
 class BestCode:
