@@ -23,7 +23,7 @@ MOST = {
     "cep/files": 3,
     "cep/proofs": 1,
     "cep/restoration": 1,
-    "cep/search": 7,
+    "cep/search": 6,
     "cep/shutter": 1,
     "lab/bench": 4,
     "lab/block_proofs": 29,

@@ -140,7 +140,9 @@ class _Walks:
     def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
         n = self.limits.chips
         columns = map(np.array, zip(*self.limits.steps(), strict=True))
-        source, opened, closed, target, pulses, fits = columns  # (S,), and (S, n + 1) of fits
+        source, open_chips, closed_chips, target, pulses, fits = (
+            columns  # (S,), and (S, n + 1) of fits
+        )
         open_left = _pick(self.by_count, count, rng) + self.opens * self.limits.open_range[0]
         budget = np.full(count, self.log_counts.shape[3] - 1)
         place = np.zeros(count, dtype=np.intp)
@@ -150,8 +152,8 @@ class _Walks:
         while rows.size:
             position = place[rows]
             # (S, R): every step of every walk
-            after = position + (opened + closed)[:, None]
-            k = open_left[rows] - self.opens * opened[:, None]
+            after = position + (open_chips + closed_chips)[:, None]
+            k = open_left[rows] - self.opens * open_chips[:, None]
             p = budget[rows] - self.pulses * pulses[:, None]
             possible = (source[:, None] == state[rows]) & fits[:, position] & (k >= 0) & (p >= 0)
             log_count = self.log_counts[
@@ -165,7 +167,7 @@ class _Walks:
             step = (threshold >= share[:-1]).sum(axis=0)
             edges[rows, position] += pulses[step].astype(np.int8)
             pulse_ends = ((source[step] == OPEN) | (pulses[step] == 1)) & (target[step] != OPEN)
-            edges[rows, position + opened[step]] -= pulse_ends.astype(np.int8)
+            edges[rows, position + open_chips[step]] -= pulse_ends.astype(np.int8)
             chosen = step, np.arange(rows.size)
             place[rows] = after[chosen]
             open_left[rows] = k[chosen]
