@@ -14,7 +14,7 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from lab.rivals.path_network import PathNetwork
+from lab.rivals.parametric import PathNetwork
 from lab.rivals.psf_diffusion import psf_signals, psfs_of_signals
 from motdiff import __main__ as motdiff_commands
 from motdiff.network import MotDiffNetwork, NetworkConfig
@@ -86,7 +86,7 @@ def path_psfs(coefficients: Tensor, centre_px: Tensor, *, variance_px2: float) -
     Parameters
     ----------
     coefficients : (B, 2, 2) float, px
-        As :class:`~lab.rivals.path_network.PathNetwork` gives them.
+        As :class:`~lab.rivals.parametric.PathNetwork` gives them.
     centre_px : (B, 2) float, px
         Where the path's time-mean lies, x before y, from index 32.
     variance_px2 : float, px^2

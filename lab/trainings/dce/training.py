@@ -13,10 +13,14 @@ from torch import Tensor, nn
 
 from cep.codes.published import published
 from cep.optics.code import ShutterCode
-from lab.trainings.dce.binarise import binarise, code_of, weights_of
-from lab.trainings.dce.coded_photos import coded_photos
-from lab.trainings.dce.losses import restoration_loss
-from lab.trainings.dce.network import RestorationNetwork
+from lab.trainings.dce.model import (
+    RestorationNetwork,
+    binarise,
+    code_of,
+    coded_photos,
+    restoration_loss,
+    weights_of,
+)
 from lab.trainings.dce.samples import Batch, Samples
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
 from cep.restoration.blur import channels_first, channels_last
-from lab.trainings.dce.binarise import code_of
-from lab.trainings.dce.network import RestorationNetwork
+from lab.trainings.dce.model import RestorationNetwork, code_of
 from motdiff import weights_io
 from motdiff.files.inputs import one_line
 from motdiff.training.checkpoint import read_checkpoint

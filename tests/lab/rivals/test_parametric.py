@@ -15,8 +15,7 @@ from scipy import optimize
 
 from lab.evaluation.floors import delta
 from lab.evaluation.quadratic_limits import most_alike_quadratic, nearest_quadratic
-from lab.rivals.parametric import ParametricEstimator
-from lab.rivals.path_network import PathHead, PathNetwork, load_path_network
+from lab.rivals.parametric import ParametricEstimator, PathHead, PathNetwork, load_path_network
 from lab.trainings import rivals
 from lab.trainings.rivals import PathTrainer, path_loss, path_psfs
 from lab.weights import PATH_WEIGHTS

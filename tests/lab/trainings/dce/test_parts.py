@@ -10,10 +10,17 @@ from hypothesis.extra import numpy as hnp
 
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_psfs, coded_psf
-from lab.trainings.dce.binarise import binarise, code_of, weights_of
-from lab.trainings.dce.coded_photos import coded_photos
-from lab.trainings.dce.losses import charbonnier, edge_loss, restoration_loss, spectral_loss
-from lab.trainings.dce.network import RestorationNetwork
+from lab.trainings.dce.model import (
+    RestorationNetwork,
+    binarise,
+    charbonnier,
+    code_of,
+    coded_photos,
+    edge_loss,
+    restoration_loss,
+    spectral_loss,
+    weights_of,
+)
 from lab.trainings.dce.samples import Batch
 from lab.trainings.dce.training import photos_of
 from motdiff.simulate import blur_valid
