@@ -1,1 +1,11 @@
-"""Training of MoTDiff: simulated photos, the loop, checkpoints, and its log."""
+"""Training of MoTDiff: simulated photos, the loop, checkpoints, and its log.
+
+A run, in the order of its data:
+
+- ``config``: the run's TOML file
+- ``photos``, ``motion_bank``: sharp photos, random motions as tensors
+- ``simulation``, ``samples``: photos of these motions, and the classical kernels found in them
+- ``prepared``: samples stored ahead, in shards; ``data``: batches of the network's inputs
+- ``loop``: updates; ``run``: a piece of a run, with ``log`` and ``checkpoint``
+- ``weight_files``: the weights that a run starts from, and those that it exports
+"""
