@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -213,7 +212,8 @@ def _watch(port: str, seconds: float, *, as_json: bool) -> None:
     changes: list[dict[str, object]] = []
     last: tuple[object, ...] | None = None
     looks = 0
-    with open_controller(port) as controller, _until_interrupted():
+    # Ctrl-C is the ordinary end of watching: the controller is left as it is
+    with open_controller(port) as controller, suppress(KeyboardInterrupt):
         start_s = time.monotonic()
         while (after_s := time.monotonic() - start_s) < seconds:
             status = controller.status()
@@ -242,14 +242,6 @@ def _watch(port: str, seconds: float, *, as_json: bool) -> None:
         [f"{port}: {looks} looks, {len(changes)} states seen"],
         as_json=as_json,
     )
-
-
-@contextmanager
-def _until_interrupted() -> Iterator[None]:
-    try:
-        yield
-    except KeyboardInterrupt:
-        return  # the ordinary end of watching: the controller is left as it is
 
 
 def _confirmed(port: str, status: Status | None) -> dict[str, object]:

@@ -1,15 +1,14 @@
-"""A code on its way to the shutter: as a file, into a controller, or on an emulated one."""
+"""A code on its way to the shutter: in whole ticks, into a controller, or on an emulated one."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 from cep.optics.code import ShutterCode
-from hw.device import DeviceProfile, load_profile
+from hw.device import DeviceProfile
 from hw.drivers import DRIVERS, Driver, UploadReport
-from hw.export import export_program, find_exporter
 from hw.program import Program
 
 MOST_ROUNDING = 0.005
@@ -69,52 +68,6 @@ def on_ticks(code: Timed, tick_ns: int) -> tuple[Timed, tuple[str, ...]]:
         f"its chips last {chip_ns} ns instead of {code.chip_ns} ns: whole ticks of {tick_ns} ns"
     )
     return replace(code, chip_ns=chip_ns), (warning,)
-
-
-@dataclass(frozen=True)
-class ExportedCode:
-    """A code as a timed program in a file.
-
-    Attributes
-    ----------
-    name, text : str
-        Of the file.
-    program : Program
-        That the text was read back to.
-    warnings : tuple of str
-        In what it differs from the code, one sentence each.
-    """
-
-    name: str
-    text: str
-    program: Program
-    warnings: tuple[str, ...]
-
-
-def export_code(
-    code: ShutterCode, file_format: str, *, device: DeviceProfile | str | None = None
-) -> ExportedCode:
-    """Write a code as a timed program in the format's ticks, and read it back to prove its edges.
-
-    Raises
-    ------
-    ValueError
-        If the format is not known or cannot represent the code, or the device cannot play it.
-
-    Examples
-    --------
-    >>> made = export_code(ShutterCode("101", 1000), "csv")
-    >>> made.name, made.text.splitlines()[-1]
-    ('code.csv', '3.000,0')
-    """
-    profile = load_profile(device) if isinstance(device, str) else device
-    exporter = find_exporter(file_format)
-    whole_ns = Program(code.bits, chip_ns=code.chip_ns)
-    program, warnings = on_ticks(whole_ns, exporter.tick_ns)
-    if profile is not None and (problems := profile.check(program)):
-        raise ValueError("device: the code cannot be played: " + "; ".join(problems))
-    text = export_program(program, file_format, device=profile)
-    return ExportedCode(exporter.file_name("code"), text, program, warnings)
 
 
 def play_emulated(

@@ -46,7 +46,7 @@ def shutter_name(profile: DeviceProfile) -> str | None:
 
 
 def formats() -> tuple[Choice, ...]:
-    """List the formats of :func:`cep.shutter.play.export_code`."""
+    """List the formats of :func:`hw.export.export_program`."""
     return tuple(Choice(name, exporter.summary) for name, exporter in EXPORTERS.items())
 
 

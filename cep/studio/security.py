@@ -8,11 +8,10 @@ import html
 import os
 import secrets
 from dataclasses import dataclass, field
-from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
-from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import HTTPConnection
 from starlette.responses import (
     HTMLResponse,
     JSONResponse,
@@ -159,7 +158,8 @@ class Gate:
 
     def _refusal(self, scope: Scope) -> Response | None:
         """Return the answer to a request that is not let in, or brings the token; else None."""
-        headers = Headers(scope=scope)
+        connection = HTTPConnection(scope)
+        headers = connection.headers
         keys = self._keys
         if headers.get("host", "") not in keys.hosts:
             return PlainTextResponse("403: this address is not the studio's", 403)
@@ -173,7 +173,7 @@ class Gate:
         foreign = headers.get("sec-fetch-site", "none") not in ("none", "same-origin")
         tokens: list[str] = []
         if scope["path"] == "/":
-            tokens = parse_qs(scope["query_string"].decode("latin-1")).get("token", [])
+            tokens = connection.query_params.getlist("token")
         if (
             len(tokens) == 1
             and scope["method"] == "GET"
@@ -183,7 +183,8 @@ class Gate:
             return self._with_cookie(linked=foreign)
         if foreign:
             return PlainTextResponse("403: requests come from the studio's own page alone", 403)
-        if not self._knows(headers):
+        cookie = connection.cookies.get(keys.cookie, "")
+        if not hmac.compare_digest(cookie.encode(), keys.session.encode()):
             return PlainTextResponse(f"403: {_SPENT if tokens and keys.is_used else _NO_KEY}", 403)
         if not writes and (
             "transfer-encoding" in headers or headers.get("content-length", "0") != "0"
@@ -208,17 +209,6 @@ class Gate:
             self._keys.cookie, self._keys.session, httponly=True, samesite="strict", path="/"
         )
         return answer
-
-    def _knows(self, headers: Headers) -> bool:
-        cookies: SimpleCookie = SimpleCookie()
-        try:
-            cookies.load(headers.get("cookie", ""))
-        except CookieError:
-            return False
-        cookie = cookies.get(self._keys.cookie)
-        return cookie is not None and hmac.compare_digest(
-            cookie.value.encode(), self._keys.session.encode()
-        )
 
     @staticmethod
     def _most(scope: Scope) -> int:

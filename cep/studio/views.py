@@ -20,11 +20,13 @@ from cep.files.images import encode_image
 from cep.optics.camera import camera_names
 from cep.plots.advice import WAY_NAMES
 from cep.report.scene import bundled_picture
-from cep.shutter.play import export_code
+from cep.shutter.play import on_ticks
 from cep.studio import catalogue
 from cep.studio.fields import FieldError
 from cep.studio.live import LiveBench, LiveScene, broken_limits
 from cep.studio.state import Setting, path_fields, read_search, read_state
+from hw.export import export_program, find_exporter
+from hw.program import Program
 from motdiff.files.json_files import plain
 from motdiff.types import FloatArray
 
@@ -182,11 +184,16 @@ class Views:
         """Return the code as a timed program: name and text of the file, and its warnings."""
         if file_format not in (names := [choice.name for choice in catalogue.formats()]):
             raise FieldError("format", f"must be one of {', '.join(names)}")
+        code, profile = setting.code(), setting.profile
+        exporter = find_exporter(str(file_format))
         try:
-            program = export_code(setting.code(), str(file_format), device=setting.profile)
+            program, warnings = on_ticks(Program(code.bits, code.chip_ns), exporter.tick_ns)
+            if profile is not None and (problems := profile.check(program)):
+                raise ValueError("device: the code cannot be played: " + "; ".join(problems))
+            text = export_program(program, exporter.name, device=profile)
         except ValueError as error:
             raise FieldError("format", str(error)) from None
-        return {"name": program.name, "text": program.text, "warnings": program.warnings}
+        return {"name": exporter.file_name("code"), "text": text, "warnings": warnings}
 
     def saved(self, setting: Setting, state: Mapping[str, Any]) -> dict[str, Any]:
         """Return one document: the page's state, motion, code with its certificate, commands."""

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from statistics import StatisticsError, linear_regression, pstdev
 
 from hw.drivers.cxp import Controller
 from hw.errors import VerifyError
@@ -62,9 +63,8 @@ def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
             f"readings are {len(readings)}: at least {_LEAST} are needed to fit a clock"
         )
     start_s, _, start_us = readings[0]
-    points: list[
-        tuple[float, float, float]
-    ] = []  # delay, host s, device s less host s (small: it keeps its digits)
+    # delay, host s, device s less host s (small: it keeps its digits)
+    points: list[tuple[float, float, float]] = []
     device_us = 0
     previous = start_us
     for sent_s, received_s, now_us in readings:
@@ -81,17 +81,15 @@ def fit_clock(readings: Sequence[tuple[float, float, int]]) -> ClockFit:
         points.append((received_s - sent_s, host_s, drift_s))
     row = max(1, min(_IN_A_ROW, len(points) // _LEAST))
     quick = [min(points[k : k + row]) for k in range(0, len(points) - row + 1, row)]
-    count = len(quick)
-    mean_t = math.fsum(t for _, t, _ in quick) / count
-    mean_d = math.fsum(d for _, _, d in quick) / count
-    spread = math.fsum((t - mean_t) ** 2 for _, t, _ in quick)
-    if not spread:
-        raise ValueError("readings are all of one moment: measure for longer")
-    slope = math.fsum((t - mean_t) * (d - mean_d) for _, t, d in quick) / spread
-    residual = math.fsum((d - mean_d - slope * (t - mean_t)) ** 2 for _, t, d in quick)
-    error = math.sqrt(residual / (count - 2) / spread)
+    _, times_s, drifts_s = zip(*quick, strict=True)
+    try:
+        slope, offset_s = linear_regression(times_s, drifts_s)
+    except StatisticsError:
+        raise ValueError("readings are all of one moment: measure for longer") from None
+    residuals = [d - offset_s - slope * t for t, d in zip(times_s, drifts_s, strict=True)]
     # Two standard errors of the slope.
-    return ClockFit(1e6 * slope, 2e6 * error, quick[-1][1] - quick[0][1], count)
+    error = math.hypot(*residuals) / math.sqrt((len(quick) - 2) * len(quick)) / pstdev(times_s)
+    return ClockFit(1e6 * slope, 2e6 * error, times_s[-1] - times_s[0], len(quick))
 
 
 def measure_clock(

@@ -10,10 +10,8 @@ from typer.testing import CliRunner
 
 from cep.commands import hardware
 from cep.commands.commands import Command
-from cep.optics.code import ShutterCode
-from cep.shutter.play import export_code
 from cep.studio import catalogue
-from hw.export import EXPORTERS
+from hw.export import EXPORTERS, export_program
 from hw.export.base import GENERIC, Exporter
 from hw.program import Program
 
@@ -64,10 +62,9 @@ def test_a_new_format_is_in_every_list(morse):
     assert catalogue.formats()[-1] == catalogue.Choice("morse", morse.summary)
     page = documentation().with_table((ROOT / "docs" / "hardware.md").read_text())
     assert "| `morse` | dots and dashes, for lamps | a lamp | 1000 ns | ITU-R M.1677-1 |" in page
-    exported = export_code(ShutterCode("101", 1001), "morse")
-    assert (exported.name, exported.text) == ("code.morse", "-... -.-")
+    assert export_program(Program("101", 1000), "morse") == "-... -.-"
     with pytest.raises(ValueError, match=f"{', '.join(EXPORTERS)}, got 'vhs'"):
-        export_code(ShutterCode("101"), "vhs")
+        export_program(Program("101", 1000), "vhs")
 
 
 def test_the_page_lists_the_formats_there_are():
