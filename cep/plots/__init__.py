@@ -2,8 +2,7 @@
 
 from cep.plots.canvas import COLOURS, check_figure_name, png_bytes, save
 from cep.plots.codes import code_strips, main_axis, mtf_curve, mtf_figure
-from cep.plots.motion import psf_figure, trajectory_figure
-from cep.plots.photos import before_after
+from cep.plots.photos import before_after, psf_figure, trajectory_figure
 
 __all__ = [
     "COLOURS",

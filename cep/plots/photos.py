@@ -1,4 +1,4 @@
-"""Figures of photos: before and after, with an enlarged detail."""
+"""Figures of photos: their motion, before and after with an enlarged detail; and PSFs."""
 
 from __future__ import annotations
 
@@ -11,11 +11,14 @@ from numpy.typing import ArrayLike
 from cep.files.foreign_text import plot_text
 from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
 from motdiff.crops import centre_crop, luminance
+from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+_TIME_MAP = "cividis"  # of even lightness, for colour-blind readers too
+_VISIBLE = 0.01  # of a PSF's peak
 _SHOWN_PX = 1200  # longest side of a whole photo: more than a figure's pixels are not seen
 _BORDER_PX = 32
 
@@ -89,3 +92,126 @@ def busiest(image: FloatArray, side: int) -> tuple[int, int]:
         )
 
     return max(corners, key=structure)
+
+
+def trajectory_figure(photo: ArrayLike, trajectory: Trajectory) -> Figure:
+    """Draw the path over its photo, enlarged beside it, coloured by time.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    trajectory : Trajectory
+    """
+    small = thumbnail(photo, 1600)
+    figure = new_figure(10.0, 4.6)
+    photo_axes, path_axes = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
+    show_photo(photo_axes, small)
+    photo_axes.set_title("Photo and its motion (same scale)")
+    scale = small.shape[1] / np.asarray(photo).shape[1]
+    centre = 0.5 * np.array([small.shape[1] - 1, small.shape[0] - 1])
+    on_photo = trajectory.xy * scale + centre
+    photo_axes.plot(*on_photo.T, color="white", linewidth=4.0, solid_capstyle="round")
+    photo_axes.add_collection(_coloured_by_time(on_photo, trajectory.t, width=2.2))
+
+    names = ("one end", "other end")
+    note = "time, fraction of the exposure (or reversed)"
+    if trajectory.direction == "known":
+        names = ("start", "end")
+        note = "time, fraction of the exposure"
+    path_axes.plot(*trajectory.xy.T, color="0.85", linewidth=6.0, solid_capstyle="round", zorder=1)
+    bar = path_axes.add_collection(_coloured_by_time(trajectory.xy, trajectory.t, width=3.0))
+    even = trajectory.at(np.linspace(0, 1, 21))  # dots at even times show the speed
+    path_axes.scatter(*even.T, s=14, color="white", edgecolor="black", linewidth=0.7, zorder=3)
+    # the second end is drawn smaller, over the first: of a closed path both show
+    for name, point, colour, marker, size in zip(
+        names, trajectory.xy[[0, -1]], (COLOURS[2], COLOURS[1]), "os", (150, 52), strict=True
+    ):
+        path_axes.scatter(
+            *point,
+            s=size,
+            marker=marker,
+            color=colour,
+            edgecolor="white",
+            linewidth=1.2,
+            zorder=4,
+            label=name,
+        )
+    # above the axes: beside their ends the names would lie over each other, or over the path
+    path_axes.legend(
+        loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, handletextpad=0.2
+    )
+    half = 0.62 * max(trajectory.extent_px, 4.0)
+    middle = 0.5 * (trajectory.xy.min(axis=0) + trajectory.xy.max(axis=0))
+    path_axes.set(
+        xlim=(middle[0] - half, middle[0] + half),
+        ylim=(middle[1] + half, middle[1] - half),  # y runs down, as in the photo
+        xlabel="x, px",
+        ylabel="y (down), px",
+        aspect="equal",
+    )
+    path_axes.set_title(
+        f"Path: {trajectory.length_px:.1f} px long, {trajectory.extent_px:.1f} px wide", pad=26
+    )
+    path_axes.grid(color="0.92")
+    path_axes.set_axisbelow(True)
+    figure.colorbar(bar, ax=path_axes, label=note, shrink=0.85, pad=0.02)
+    return figure
+
+
+def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
+    """Draw PSFs side by side, each on its own scale, with the zero displacement marked.
+
+    Parameters
+    ----------
+    psfs : mapping of title to (S, S) array_like
+    """
+    figure = new_figure(3.6 * len(psfs) + 0.2, 3.2)
+    reach = max(_reach(psf) for psf in psfs.values()) + 2.5
+    for axes, (title, psf) in zip(
+        np.ravel(figure.subplots(1, len(psfs))), psfs.items(), strict=True
+    ):
+        kernel = np.asarray(psf, dtype=np.float64)
+        half = kernel.shape[0] // 2
+        edges = (
+            -half - 0.5,
+            kernel.shape[1] - half - 0.5,
+            kernel.shape[0] - half - 0.5,
+            -half - 0.5,
+        )
+        heatmap = axes.imshow(kernel, cmap="magma", extent=edges, interpolation="nearest")
+        axes.plot(0, 0, "+", color="white", markersize=7, markeredgewidth=0.8)
+        axes.set(
+            title=plot_text(title),
+            xlabel="x, px",
+            ylabel="y (down), px",
+            xlim=(-reach, reach),
+            ylim=(reach, -reach),
+        )
+        axes.set_facecolor("black")
+        figure.colorbar(heatmap, ax=axes, shrink=0.95, label="share of the light")
+    return figure
+
+
+def _coloured_by_time(points: FloatArray, t: FloatArray, *, width: float) -> Any:
+    from matplotlib.collections import LineCollection
+
+    # the path's own corners, and enough between them for the colours to run smoothly
+    times = np.union1d(t, np.linspace(0, 1, 201))
+    fine = np.stack([np.interp(times, t, points[:, axis]) for axis in (0, 1)], axis=1)
+    lines = LineCollection(
+        list(np.stack([fine[:-1], fine[1:]], axis=1)),
+        cmap=_TIME_MAP,
+        linewidths=width,
+        capstyle="round",
+        zorder=2,
+    )
+    lines.set_array(0.5 * (times[1:] + times[:-1]))
+    lines.set_clim(0, 1)
+    return lines
+
+
+def _reach(psf: ArrayLike) -> int:
+    """Largest displacement, px along either axis, that holds a visible share of the light."""
+    kernel = np.asarray(psf, dtype=np.float64)
+    bright = np.argwhere(kernel > _VISIBLE * kernel.max())
+    return int(np.abs(bright - np.array(kernel.shape) // 2).max())

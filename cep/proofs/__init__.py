@@ -1,1 +1,1 @@
-"""Proofs about codes: certified minima, their independent check, and audits of any code."""
+"""Figures of codes and their proofs: measure, certify, verify (which shares no code), audit."""

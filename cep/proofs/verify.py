@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import gcd, pi
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,16 +54,8 @@ class Verdict:
         return self.holds
 
 
-class Claim(Protocol):
-    """A certificate as an object, which can be written as a mapping."""
-
-    def to_dict(self) -> Mapping[str, Any]:
-        """Its fields."""
-        ...
-
-
 def verify(
-    certificate: Mapping[str, Any] | Claim,
+    certificate: Any,
     *,
     bits: str | None = None,
     path: tuple[Sequence[float], Sequence[Sequence[float]]] | None = None,

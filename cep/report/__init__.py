@@ -1,1 +1,1 @@
-"""HTML pages that report a result."""
+"""The demo: its ``scene``, the ``chain`` from motion to restored photos, and their ``page``."""

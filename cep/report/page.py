@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import base64
 import hashlib
-import os
 import platform
 from collections.abc import Mapping
 from contextlib import suppress
@@ -17,7 +16,6 @@ from importlib import resources
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
-from urllib.parse import quote
 
 from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
 from cep.files.code_files import StoredCode, write_code
@@ -158,20 +156,10 @@ def write_demo(
         for name in PICTURE_FILES:
             if name in png:
                 (temporary / f"{name}.png").write_bytes(png[name])
-        page = html(chain, png, options=options, guide=_guide(target))
+        page = html(chain, png, options=options)
         write_text(temporary / "report.html", page)
         write_text(temporary / "demo.json", json_text(figures))
     return figures
-
-
-def _guide(folder: Path) -> str:
-    """Address of docs/hardware.md from a folder; empty in a wheel, which has no documents."""
-    guide = Path(__file__).resolve().parents[2] / "docs" / "hardware.md"
-    try:
-        address = Path(os.path.relpath(guide, folder.resolve())).as_posix()
-    except ValueError:  # on another drive
-        return ""
-    return quote(address) if guide.is_file() else ""
 
 
 def _figures(chain: Chain) -> dict[str, object]:
@@ -244,9 +232,7 @@ def pictures(chain: Chain) -> dict[str, bytes]:
     }
 
 
-def html(
-    chain: Chain, png: Mapping[str, bytes] | None = None, *, options: str = "", guide: str = ""
-) -> str:
+def html(chain: Chain, png: Mapping[str, bytes] | None = None, *, options: str = "") -> str:
     """Render the page of a chain; every text in it is escaped.
 
     Parameters
@@ -256,8 +242,6 @@ def html(
         By :func:`pictures` when omitted.
     options : str
         How camera and device are named on a command line.
-    guide : str
-        Address of docs/hardware.md; the page names it without a link when empty.
     """
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup  # the script is the package's
@@ -294,7 +278,6 @@ def html(
         devices=_devices(chain),
         truth=_truth(chain),
         options=options,
-        guide=guide,
         versions=", ".join([*versions, f"Python {platform.python_version()}"]),
         script=Markup(script),
         # by its hash, the page's Content-Security-Policy lets this script run and no other

@@ -103,12 +103,12 @@ def sweeps(
             best = np.empty((_KEPT, problem.chips), np.int8)
             count = np.zeros(1, np.int64)
             slice_moves = min(_SLICE, until - total)
-            slice_made = sweep(
+            moves_made = sweep(
                 tables, code, random, temperature_db, slice_moves, deepest, best, count
             )
-            total += slice_made
+            total += moves_made
             elites = np.concatenate([elites, best[: count[0]]])[-_KEPT:]
-            yield slice_made, elites
+            yield moves_made, elites
 
 
 @inlined

@@ -139,7 +139,7 @@ def test_codes_within_the_translated_limits_are_those_that_can_be_played(limits,
     device = DeviceProfile(name="some", **limits)
     codes = np.array(list(itertools.product((0, 1), repeat=chips)), dtype=np.int8)[1:]
     played = np.array(
-        [not device.check(Program(code.tolist(), chip_ns=chip_ns)) for code in codes]
+        [not device.check(Program("".join(map(str, code)), chip_ns=chip_ns)) for code in codes]
     )
     try:
         runs, most = limits_of_device(device, chips=chips, chip_ns=chip_ns)
@@ -151,7 +151,9 @@ def test_codes_within_the_translated_limits_are_those_that_can_be_played(limits,
         return
     assert np.array_equal(problem.satisfied(codes), played)
     drawn = problem.random_codes(5, rng=np.random.default_rng(0))
-    assert not any(device.check(Program(code.tolist(), chip_ns=chip_ns)) for code in drawn)
+    assert not any(
+        device.check(Program("".join(map(str, code)), chip_ns=chip_ns)) for code in drawn
+    )
 
 
 @pytest.mark.parametrize(
