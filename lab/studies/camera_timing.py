@@ -127,7 +127,8 @@ def main() -> None:
         covered += inside
         row_error = timing.row.value - camera.row_s
         print(
-            f"{seed:4d} {1e6 * camera.start_s:9.2f} {1e6 * (timing.start.value - camera.start_s):6.2f}"
+            f"{seed:4d} {1e6 * camera.start_s:9.2f}"
+            f" {1e6 * (timing.start.value - camera.start_s):6.2f}"
             f" {1e6 * camera.length_s:9.2f} {1e6 * (timing.length.value - camera.length_s):6.2f}"
             f" {1e6 * camera.jitter_s:8.2f} {1e6 * timing.jitter.value:6.2f}"
             f" {1e6 * camera.row_s:8.3f} {100 * row_error / (camera.row_s or 1e-6):8.4f}"

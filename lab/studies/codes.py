@@ -33,7 +33,8 @@ def chip_row(name: str, code: ShutterCode, seconds: float) -> None:
     minimum = chip_minimum(code)
     noise = chip_noise_db(code)
     print(
-        f"{name:22s} {code.chips:4d} {code.open_chips:4d} {minimum.upper:8.4f} {minimum.lower:8.4f}"
+        f"{name:22s} {code.chips:4d} {code.open_chips:4d} {minimum.upper:8.4f}"
+        f" {minimum.lower:8.4f}"
         f" {minimum.upper / code.open_chips:7.4f} {noise:8.2f}"
         f" {noise + 20 * np.log10(code.open_chips):8.2f}  {seconds:.1f} s"
     )
@@ -141,7 +142,8 @@ def certificates() -> None:
         verdict = verify(certificate.to_dict(), bits=code.bits)
         checked = time.process_time()
         print(
-            f"{name:36s} {certificate.lower:12.8f} {certificate.upper:12.8f} {certificate.relative_width:8.1e}"
+            f"{name:36s} {certificate.lower:12.8f} {certificate.upper:12.8f}"
+            f" {certificate.relative_width:8.1e}"
             f" {proven - started:7.3f} {checked - proven:7.3f}  {certificate.method},"
             f" {'confirmed' if verdict.holds else verdict.reasons[-1]}"
         )
@@ -165,7 +167,8 @@ def straight(seconds: float) -> None:
         )
         chip_row(f"anneal {objective}", result.code, result.seconds)
         print(
-            f"  {result.code.bits}  {result.steps / result.seconds:,.0f} moves/s; no code of 26 ones"
+            f"  {result.code.bits}  {result.steps / result.seconds:,.0f} moves/s; no code of 26"
+            " ones"
             f" exceeds min |P| {bound(problem).min_chip:.2f}"
         )
 

@@ -3,10 +3,10 @@ evidence chooses, where the path is known so well.
 
     python -m lab.studies.default_method PHOTOS [--count 6]
 
-PHOTOS is a folder of sharp photographs. Each is photographed along a straight motion of 25 px and a
-walk of 40 px, with the shutter open and through a code, at three levels of noise, and restored along
-the true path and along one that is wrong by 0.3 and by 1 px rms. Prints the mean PSNR, dB, up to
-shift, in linear light, away from the borders.
+PHOTOS is a folder of sharp photographs. Each is photographed along a straight motion of 25 px and
+a walk of 40 px, with the shutter open and through a code, at three levels of noise, and restored
+along the true path and along one that is wrong by 0.3 and by 1 px rms. Prints the mean PSNR, dB,
+up to shift, in linear light, away from the borders.
 """
 
 from __future__ import annotations

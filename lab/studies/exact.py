@@ -70,7 +70,8 @@ def speed(threads: int) -> None:
         judged_codes = sum(entry.judged for entry in result.proof.lengths)
         print(
             f"n = {chips}: {result.seconds:.2f} s, {seconds:.2f} cpu s with {threads} thread(s), "
-            f"{judged_codes / seconds / 1e9:.2f} G codes a cpu second (each mirror pair counted once)"
+            f"{judged_codes / seconds / 1e9:.2f} G codes a cpu second (each mirror pair counted"
+            " once)"
         )
 
 

@@ -141,7 +141,8 @@ def main() -> None:
         )
         print(
             f"| {100 * noise:g} % | {mean:.3f} | {surest:.3f} | {best:.3f} | {fused:.3f} "
-            f"| {detected} of {len(strangers) * len(rows)} | {wrong} of {options.photos * len(rows)} |",
+            f"| {detected} of {len(strangers) * len(rows)} |"
+            f" {wrong} of {options.photos * len(rows)} |",
             flush=True,
         )
 

@@ -283,7 +283,7 @@ def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
     shared = SharedSearch(PmpEstimator._run)
     # the methods compared share each photo's search; type: pmp's own class is changed, for this
     # process alone
-    PmpEstimator._run = lambda *arguments, **options: shared.kernel(*arguments, **options)  # type: ignore[method-assign]
+    PmpEstimator._run = lambda *arguments, **options: shared.kernel(*arguments, **options)
     methods = estimators()
     network = load_network()
     correction = load_correction()
@@ -383,7 +383,8 @@ def table(rows: list[dict]) -> Iterator[str]:
             for key in ("mnc", "best", "alike", "covered")
         )
         yield (
-            f"\nDraws, {name}, {len(of)} photos: one draw {single:.3f}, best of {len(of[0]['mnc'])}"
+            f"\nDraws, {name}, {len(of)} photos: one draw {single:.3f}, best of"
+            f" {len(of[0]['mnc'])}"
             f" {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
         )
 

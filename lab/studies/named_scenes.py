@@ -2,11 +2,11 @@
 
     python -m lab.studies.named_scenes
 
-Prints the fit of each scene (`cep.photographs.scene_photo.fitted_scene`) and the mean distance of its
-bands' levels from the fit: `text`, 12 pages of 256 x 256 px set in DejaVu Sans of 10 to 40 px to the
-em, ink 0.05 and paper 0.7 of full scale, through a lens of 0.5 px rms and square pixels; `texture`,
-four windows of 256 px each of scikit-image's brick, grass and gravel; `flat-part`, the quarter of the
-64 px windows of the bundled photographs that have the least contrast.
+Prints the fit of each scene (`cep.photographs.scene_photo.fitted_scene`) and the mean distance of
+its bands' levels from the fit: `text`, 12 pages of 256 x 256 px set in DejaVu Sans of 10 to 40 px
+to the em, ink 0.05 and paper 0.7 of full scale, through a lens of 0.5 px rms and square pixels;
+`texture`, four windows of 256 px each of scikit-image's brick, grass and gravel; `flat-part`, the
+quarter of the 64 px windows of the bundled photographs that have the least contrast.
 """
 
 from __future__ import annotations

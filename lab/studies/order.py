@@ -30,7 +30,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -405,7 +405,7 @@ def uncertainty_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
             )
 
 
-def stopped_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
+def stopped_table(rows: Sequence[tuple[Case, dict[str, Any]]]) -> None:
     """Print what comes of taking photos until the order is stated as sure."""
     print(f"\n| until {SURE:g} | motions | right | photos, mean | sure |\n|---|---|---|---|---|")
     for motions, name in sorted(

@@ -2,11 +2,12 @@
 
     python -m lab.studies.own_scene PHOTOS [--count 18]
 
-Of each sharp photo of a folder the left half is the user's photo, and the right half is what is then
-photographed. Along an arc and at two lights, the best code and the best single exposure are those
-that `cep advise` states by the bundled photographs, or by the left half; both are simulated on the
-right half and restored by default. Prints for each photo and light the gain stated and measured, and
-what the own code gains over the other, dB; last means over the photos with their standard errors.
+Of each sharp photo of a folder the left half is the user's photo, and the right half is what is
+then photographed. Along an arc and at two lights, the best code and the best single exposure are
+those that `cep advise` states by the bundled photographs, or by the left half; both are simulated
+on the right half and restored by default. Prints for each photo and light the gain stated and
+measured, and what the own code gains over the other, dB; last means over the photos with their
+standard errors.
 """
 
 from __future__ import annotations
@@ -60,7 +61,8 @@ def main() -> None:
                 f"{promise_db:+.2f}, {gain_db:+.2f}" for promise_db, gain_db, _ in results
             )
             print(
-                f"| {number} | {read_noise_e:g} / {photons:,.0f} | {cells} | {code_gain_db:+.2f} |",
+                f"| {number} | {read_noise_e:g} / {photons:,.0f} | {cells} |"
+                f" {code_gain_db:+.2f} |",
                 flush=True,
             )
     table = np.array(rows)

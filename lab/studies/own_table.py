@@ -70,7 +70,8 @@ def main() -> None:
         free = min(costs, key=costs.__getitem__)
         losses.append((path_cost - costs[best], path_cost - costs[free]))
         print(
-            f"{problem.chips:5d}  {problem.objective!s:10s} {path_cost:9.3f}  {losses[-1][0]:9.3f} "
+            f"{problem.chips:5d}  {problem.objective!s:10s} {path_cost:9.3f} "
+            f" {losses[-1][0]:9.3f} "
             f" {best:31s}  {losses[-1][1]:13.3f}  {free}",
             flush=True,
         )

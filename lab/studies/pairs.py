@@ -3,13 +3,13 @@
     python -m lab.studies.pairs --photos FOLDER --gyro FILE [--motions gyro walks arcs] [--count 4]
         [--code raskar-52] [--read-noise 50] [--photons 10000] [--seed 1] [--results pairs.jsonl]
 
-Each motion is photographed once, and each photo restored without the motion, as `cep
-deblur` does: with the shutter open, by two such cameras (`two open`, their mean), through the code
-alone, in the better of two snapshots (a quarter and an eighth of the time, in the middle), by two
-cameras through the code and its complement (`pair`), and by the same two behind a beam splitter,
-with half the light each (`split`). `pair, true path` and `open, true path` are restored along the true motion. PSNR in dB, light 0..1,
-over shifts, without the outer 30 px. With `--results` each finished motion is a line of that file;
-the same command goes on from it.
+Each motion is photographed once, and each photo restored without the motion, as `cep deblur` does:
+with the shutter open, by two such cameras (`two open`, their mean), through the code alone, in the
+better of two snapshots (a quarter and an eighth of the time, in the middle), by two cameras
+through the code and its complement (`pair`), and by the same two behind a beam splitter, with half
+the light each (`split`). `pair, true path` and `open, true path` are restored along the true
+motion. PSNR in dB, light 0..1, over shifts, without the outer 30 px. With `--results` each
+finished motion is a line of that file; the same command goes on from it.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Kernels of photos with the faults of real ones: a turning camera, clipped light, JPEG, noise.
 
-    python -m lab.studies.photo_faults FILE --photos DIR... --gyro RECORDING [--count 24] [--seed 0]
+    python -m lab.studies.photo_faults FILE --photos DIR... --gyro RECORDING [--count 24]
+    [--seed 0]
 
 Whole photos of the folders (sides of 400 px and more) along walks, arcs and shakes, while the
 camera turns by 0, 0.4 or 1 degree about the photo's middle, exposed up to 2.5 times too long, with

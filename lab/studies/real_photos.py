@@ -2,10 +2,10 @@
 
     python -m lab.studies.real_photos PHOTOS... -o FOLDER [--anyway]
 
-Each photo is estimated as ``cep calibrate`` does, restored from itself as ``cep deblur PHOTO`` does,
-and along the path found as ``cep deblur PHOTO --trajectory`` does. Prints a row each, and writes
-``sheet.png``: the photo, the restored one, and a detail of the photo, of the restored one and of
-the one along the path. Look at every pair: no figure sees what an eye sees.
+Each photo is estimated as ``cep calibrate`` does, restored from itself as ``cep deblur PHOTO``
+does, and along the path found as ``cep deblur PHOTO --trajectory`` does. Prints a row each, and
+writes ``sheet.png``: the photo, the restored one, and a detail of the photo, of the restored one
+and of the one along the path. Look at every pair: no figure sees what an eye sees.
 
 Two figures need no sharp photo, and neither takes part in the program's choices in this form:
 

@@ -4,8 +4,8 @@
 
 PHOTOS is a folder of sharp photographs; those of cep.photographs when omitted. Prints the mean and
 the spread of each band's level over the photographs (their middle 300 x 300 px, Hann window), the
-least-squares fit of ``S(f) = A f^-g (1 + f^2 / f_k^2)^-h`` with the knee at f_k = 0.25 cycles/px, and
-how much of the variance between photographs is one common level.
+least-squares fit of ``S(f) = A f^-g (1 + f^2 / f_k^2)^-h`` with the knee at f_k = 0.25 cycles/px,
+and how much of the variance between photographs is one common level.
 """
 
 from __future__ import annotations

@@ -5,10 +5,10 @@
 PHOTOS is a folder of sharp photographs. Along a motion and at a camera's light a code is searched
 by objective "mse" for the mean scene (`cep.optics.scene.PHOTO`), and a code by the mean of its
 decibels over scenes whose level has the standard deviation ``spread_db``, at the three nodes of
-Gauss-Hermite quadrature, each with several seeds. All are simulated on the photographs and restored
-by default. Prints a row for each case: open chips and openings of the codes, gain of the second kind
-over the first by each objective and on the photographs, dB, with its standard error over these, and
-the standard deviation from seed to seed; last the mean over the cases.
+Gauss-Hermite quadrature, each with several seeds. All are simulated on the photographs and
+restored by default. Prints a row for each case: open chips and openings of the codes, gain of the
+second kind over the first by each objective and on the photographs, dB, with its standard error
+over these, and the standard deviation from seed to seed; last the mean over the cases.
 """
 
 from __future__ import annotations

@@ -2,9 +2,9 @@
 
     python -m lab.studies.shoot [SHOTS]
 
-Prints: frames that are the twin's own bits, computed anew from the pins; lost, doubled and unnoticed
-frames; PSNR of restored photos against those of ``cep simulate``; the time beside the exposure; and
-how many triggers of a belt are obeyed; and a photo summed from a slow-motion video.
+Prints: frames that are the twin's own bits, computed anew from the pins; lost, doubled and
+unnoticed frames; PSNR of restored photos against those of ``cep simulate``; the time beside the
+exposure; and how many triggers of a belt are obeyed; and a photo summed from a slow-motion video.
 """
 
 from __future__ import annotations

@@ -32,6 +32,7 @@ from cep.commands.console import INTERRUPTED
 from cep.commands.main import main
 from cep.files.images import write_image
 from cep.files.shot_files import read_shot, record_beside
+from cep.shutter.cameras import CAMERAS
 from cep.shutter.twin import TwinCamera
 from hw.cameras.camera import CameraError, CameraSettings, Frame, FrameLostError
 from hw.cxp.protocol import Stored
@@ -163,7 +164,7 @@ def run_twin(fault: str, folder: Path, rng: np.random.Generator) -> Outcome:
         *("shoot", "--camera", f"faulty:scene={scene(folder)},seed={rng.integers(1000)}"),
         *("--code", CODE, "--chip-ns", CHIP_NS, "--repeat", _SHOTS, "-o", shot),
     ]
-    kinds = {**shooting.CAMERAS, "faulty": f"{FaultyTwin.__module__}:FaultyTwin"}
+    kinds = {**CAMERAS, "faulty": f"{FaultyTwin.__module__}:FaultyTwin"}
     with patch.object(shooting, "CAMERAS", kinds), _put(fault, photo, shot), _stderr() as stderr:
         code = main([str(argument) for argument in arguments])
     ended_s = time.monotonic()

@@ -22,11 +22,12 @@ import tempfile
 import threading
 import time
 from pathlib import Path
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "helpers"))
 STATES = {
     "straight 40 px, 52 chips": "motion=straight:40:0",
     "straight 40 px at 30 degrees, 52 chips": "motion=straight:40:30",
@@ -35,7 +36,8 @@ STATES = {
     "straight 40 px, 128 chips": "motion=straight:40:0&code=" + "1011001110001011" * 8,
 }
 FLIPS = """async (count) => {
-  const body = document.body.dataset, chips = document.querySelectorAll("#strip button"), times = [];
+  const body = document.body.dataset, times = [];
+  const chips = document.querySelectorAll("#strip button");
   const settled = () => body.picture === body.asked && body.photo === body.asked;
   const frame = () => new Promise((done) => requestAnimationFrame(done));
   for (let i = 0; i < count; i++) {
@@ -67,7 +69,8 @@ DRAGS = """async (count) => {
 SEARCH = """async () => {
   const motion = { kind: "example", name: "shake" }, bits = "10".repeat(26);
   const setting = { motion, bits, exposure: "1/30", camera: "aptina-mt9m031-8bit" };
-  const order = { page: JSON.parse(sessionStorage.getItem("studio-page")), kind: "search", steps: 1e9, setting };
+  const page = JSON.parse(sessionStorage.getItem("studio-page"));
+  const order = { page, kind: "search", steps: 1e9, setting };
   const headers = { "Content-Type": "application/json" };
   await fetch("/api/job", { method: "POST", headers, body: JSON.stringify(order) });
 }"""
@@ -164,7 +167,7 @@ def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
         browser.close()
 
 
-def large_photo(page: object, peak: Peak) -> None:
+def large_photo(page: Any, peak: Peak) -> None:
     from skimage import data
 
     from cep.files.images import encode_image
@@ -179,10 +182,10 @@ def large_photo(page: object, peak: Peak) -> None:
         file.write_bytes(encode_image(photo, ".jpg"))
         peak.reset()
         started = time.perf_counter()
-        page.locator("#photo-file").set_input_files(file)  # type: ignore[attr-defined]
-        while "motion=path:" not in page.url:  # type: ignore[attr-defined]
+        page.locator("#photo-file").set_input_files(file)
+        while "motion=path:" not in page.url:
             time.sleep(0.1)
-            failed = page.locator(".error[data-for=photo]").inner_text()  # type: ignore[attr-defined]
+            failed = page.locator(".error[data-for=photo]").inner_text()
             assert not failed, failed
         megapixels = photo.shape[0] * photo.shape[1] / 1e6
         seconds = time.perf_counter() - started
@@ -194,7 +197,7 @@ def large_photo(page: object, peak: Peak) -> None:
 
 def refused(netloc: str, cookie: str, count: int) -> None:
     """Send hostile requests; each must be answered with 4xx, and nothing may be left behind."""
-    from hostile_requests import hostile
+    from hostile_requests import hostile  # type: ignore[import-not-found]  # of the tests
 
     before = left()
     rng = np.random.default_rng(1)
@@ -262,23 +265,23 @@ def left() -> set[str]:
     return {str(file) for folder in folders for file in folder.rglob("*")}
 
 
-def wait(page: object) -> None:
+def wait(page: Any) -> None:
     deadline = time.monotonic() + 120
     names = (
         "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] ==="
         " document.body.dataset.asked)"
     )
-    while not page.evaluate(f"document.body.dataset.asked !== undefined && {names}"):  # type: ignore[attr-defined]
+    while not page.evaluate(f"document.body.dataset.asked !== undefined && {names}"):
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
-def row(name: str, page: object, script: str, changes: int, server: int) -> None:
+def row(name: str, page: Any, script: str, changes: int, server: int) -> None:
     """Print the times of changes, and the processor time that each took: the server's, and the
     browser's.
     """
     before = cpu_s(server)
-    median, high = np.percentile(page.evaluate(script, changes), [50, 95])  # type: ignore[attr-defined]
+    median, high = np.percentile(page.evaluate(script, changes), [50, 95])
     took = [
         1000 * (after - start_s) / changes
         for start_s, after in zip(before, cpu_s(server), strict=True)
