@@ -45,18 +45,16 @@ class LocalEmphasis(nn.Module):
             nn.ReLU(),
         )
 
-    def forward(self, feature: Tensor, size: Sequence[int]) -> Tensor:
-        """Feature (B, C, h, w) to (B, width, *size)."""
-        emphasised: Tensor = self.convs(feature)  # (B, width, h, w)
-        if emphasised.shape[-2:] == torch.Size(size):
-            return emphasised
-        return functional.interpolate(
-            emphasised, tuple(size), mode="bilinear", align_corners=False
-        )
+    def forward(self, f_s: Tensor, size: Sequence[int]) -> Tensor:
+        """Feature f_s (B, C, h, w) of a stage to f_s_up (B, width, *size)."""
+        f_s = self.convs(f_s)  # (B, width, h, w)
+        if f_s.shape[-2:] == torch.Size(size):
+            return f_s
+        return functional.interpolate(f_s, tuple(size), mode="bilinear", align_corners=False)
 
 
 class StepwiseAggregation(nn.Module):
-    """z4 = f4up, then z_s = ReLU(conv1x1(cat(z_{s+1}, f_s_up))) for s = 3, 2, 1.
+    """z_4 = f_4_up, then z_s = ReLU(conv1x1(cat(z_{s+1}, f_s_up))) for s = 3, 2, 1.
 
     Neighbouring scales are joined first: no layer has to join global and local cues at once.
 
@@ -77,22 +75,22 @@ class StepwiseAggregation(nn.Module):
         # joins[s - 1] gives z_s
         self.joins = nn.ModuleList(nn.Conv2d(2 * width, width, 1) for _ in range(scales - 1))
 
-    def forward(self, emphasised: Sequence[Tensor]) -> Tensor:
-        """Features f1up, f2up, ... (B, width, h, w) to z1 (B, width, h, w)."""
-        z = emphasised[-1]
-        for join, feature in zip(reversed(self.joins), reversed(emphasised[:-1]), strict=True):
-            z = functional.relu(join(torch.cat([z, feature], dim=1)))
+    def forward(self, f_up: Sequence[Tensor]) -> Tensor:
+        """Features f_1_up, f_2_up, ... (B, width, h, w) to z_1 (B, width, h, w)."""
+        z = f_up[-1]
+        for join, f_s_up in zip(reversed(self.joins), reversed(f_up[:-1]), strict=True):
+            z = functional.relu(join(torch.cat([z, f_s_up], dim=1)))
         return z
 
 
 class PhotoEncoder(nn.Module):
-    """Features z1 (B, width, H / 4, W / 4) of photos (B, 3, H, W), display values 0..1.
+    """Features z_1 (B, width, H / 4, W / 4) of photos (B, 3, H, W), display values 0..1.
 
     Parameters
     ----------
     config : NetworkConfig
         With a backbone "b0" .. "b5". For features "f2" only two of the backbone's stages are
-        built. With `photo_pool` 2 all this happens at half the size, and z1 is interpolated.
+        built. With `photo_pool` 2 all this happens at half the size, and z_1 is interpolated.
 
     References
     ----------
@@ -129,16 +127,16 @@ class PhotoEncoder(nn.Module):
             )
         if self.pool > 1:
             photo = functional.avg_pool2d(photo, self.pool)
-        features = self.backbone((photo - self.mean) / self.std)
+        f = self.backbone((photo - self.mean) / self.std)  # eq. 2
         size = [side // (_CONDITION_STRIDE * self.pool) for side in sides]
-        emphasised = [
-            emphasis(features[i], size)
-            for i, emphasis in zip(self.scales, self.emphasis, strict=True)
+        f_up = [
+            emphasis(f[scale], size)  # eq. 3
+            for scale, emphasis in zip(self.scales, self.emphasis, strict=True)
         ]
-        z1: Tensor = self.aggregation(emphasised)
+        z_1: Tensor = self.aggregation(f_up)  # eq. 4
         if self.pool > 1:
-            z1 = functional.interpolate(z1, scale_factor=self.pool, mode="bilinear")
-        return z1
+            z_1 = functional.interpolate(z_1, scale_factor=self.pool, mode="bilinear")
+        return z_1
 
 
 class ConditionNetwork(nn.Module):
@@ -214,8 +212,8 @@ class ConditionNetwork(nn.Module):
         if self.physics is not None:
             encodings.append(self.physics(physics))  # (B, physics_width, 64, 64)
         if self.photo is not None:
-            z1 = self.photo(photo)  # (B, width, H/4, W/4)
-            encodings.append(z1 if self.fusion is None else self.fusion(z1))
+            z_1 = self.photo(photo)  # (B, width, H/4, W/4)
+            encodings.append(z_1 if self.fusion is None else self.fusion(z_1))
         return sum(encodings[1:], start=encodings[0])
 
 

@@ -29,7 +29,7 @@ class NetworkConfig:
     photo_pool : int
         1, or 2: the photo encoder works on means of 2x2 pixels, at about a quarter of the cost.
     width : int
-        Channels of local emphasis, aggregation and z1.
+        Channels of local emphasis, aggregation and z_1.
     denoiser_width : int
         Channels of the denoiser's encoding block and mid layer; a multiple of 4 (PixelShuffle).
     denoiser_view : int

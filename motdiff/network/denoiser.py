@@ -114,6 +114,7 @@ class Denoiser(nn.Module):
                 f"t has shape {tuple(t.shape)}; it must be ({batch},), one timestep per map"
             )
         time = self.time(t)  # (B, time_width)
+        # eq. 5: Enc(x_t, t) beside the condition, then Dec
         x = functional.relu(self.enter(x_t))  # (B, width, H/4, W/4)
         x = self.residual(x, time)
         x = functional.relu(self.leave(x))

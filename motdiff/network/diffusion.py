@@ -91,10 +91,8 @@ def from_signal(signal: Tensor) -> Tensor:
     return (signal + 1) / 2
 
 
-def stochastic_trajectory_pixel_dropout(
-    x0: Tensor, p: float, generator: torch.Generator
-) -> Tensor:
-    """Trajectory map whose path pixels become background with probability ``p`` (STPD).
+def stpd(x0: Tensor, p: float, generator: torch.Generator) -> Tensor:
+    """Stochastic trajectory pixel dropout: path pixels become background with probability ``p``.
 
     Only the network's input has these gaps; its target is ``x0``, so that it learns to close them.
 
@@ -199,24 +197,24 @@ def structure_loss(logits: Tensor, x0: Tensor, *, path_weight: float, iou: float
         if not value >= 0:
             raise ValueError(f"{name} must be at least 0, got {value}")
     logits, x0 = _full_precision(logits, x0)
-    weight = path_weight * x0 + 1  # (B, 1, H, W)
-    return (weighted_bce(logits, x0, weight) + iou * weighted_iou(logits, x0, weight)).mean()
+    w = path_weight * x0 + 1  # eq. 6, (B, 1, H, W)
+    return (weighted_bce(logits, x0, w) + iou * weighted_iou(logits, x0, w)).mean()  # eq. 7
 
 
-def weighted_bce(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
+def weighted_bce(logits: Tensor, x0: Tensor, w: Tensor) -> Tensor:
     """``wBCE`` (B,) of `structure_loss`."""
     # F3Net's code passes `reduce='none'`, which PyTorch reads as reduce=True: it then returns the
     # batch's plain mean, the weights cancel and thin paths count for nothing. Many copies inherit
     # it. `reduction` is the right name.
-    loss = functional.binary_cross_entropy_with_logits(logits, x0, reduction="none")
-    return (weight * loss).flatten(1).sum(1) / weight.flatten(1).sum(1)
+    bce = functional.binary_cross_entropy_with_logits(logits, x0, reduction="none")
+    return (w * bce).flatten(1).sum(1) / w.flatten(1).sum(1)
 
 
-def weighted_iou(logits: Tensor, x0: Tensor, weight: Tensor) -> Tensor:
+def weighted_iou(logits: Tensor, x0: Tensor, w: Tensor) -> Tensor:
     """``wIoU`` (B,) of `structure_loss`: one minus the soft intersection over union."""
     p = torch.sigmoid(logits)
-    intersection = (weight * p * x0).flatten(1).sum(1)  # (B,)
-    total = (weight * (p + x0)).flatten(1).sum(1)  # (B,)
+    intersection = (w * p * x0).flatten(1).sum(1)  # (B,)
+    total = (w * (p + x0)).flatten(1).sum(1)  # (B,)
     return 1 - (intersection + 1) / (total - intersection + 1)
 
 

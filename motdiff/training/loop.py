@@ -23,7 +23,7 @@ from motdiff.network.diffusion import (
     denoising_loss,
     dwell_loss,
     q_sample,
-    stochastic_trajectory_pixel_dropout,
+    stpd,
     structure_loss,
     to_signal,
 )
@@ -309,7 +309,7 @@ def loss_of(
     pitch = batch.x0.shape[-1] // PSF_PX
     t = torch.randint(schedule.steps, (size,), generator=generator, device=device)
     # eq. 8: pixels are dropped before noising, the target x0 has them all
-    signal = to_signal(stochastic_trajectory_pixel_dropout(batch.x0, loss.stpd, generator))
+    signal = to_signal(stpd(batch.x0, loss.stpd, generator))
     eps = torch.randn(signal.shape, generator=generator, device=device)
     physics = blanked(batch.physics, physics_dropout, generator)
     # the mean of two: paths are centred, so windows near the middle hold them oftener

@@ -13,7 +13,7 @@ from motdiff.network.diffusion import (
     from_signal,
     q_sample,
     samples,
-    stochastic_trajectory_pixel_dropout,
+    stpd,
     to_signal,
 )
 
@@ -145,7 +145,7 @@ def test_signal_range_and_back():
 def test_stpd_drops_each_path_pixel_with_its_probability_and_leaves_the_background(p):
     x0 = torch.zeros(4, 1, 100, 100)
     x0[..., ::4] = 1
-    dropped = stochastic_trajectory_pixel_dropout(x0, p, seeded(1))
+    dropped = stpd(x0, p, seeded(1))
     path = x0 == 1
     pixels = int(path.sum())
     rate = 1 - float(dropped[path].mean())
@@ -156,7 +156,7 @@ def test_stpd_drops_each_path_pixel_with_its_probability_and_leaves_the_backgrou
 
 def test_stpd_drops_pixels_independently():
     ones = torch.ones(200, 200)
-    dropped = stochastic_trajectory_pixel_dropout(ones, 0.3, seeded(2)) - 0.7
+    dropped = stpd(ones, 0.3, seeded(2)) - 0.7
     for shift in [(0, 1), (1, 0), (1, 1)]:
         covariance = float((dropped * dropped.roll(shift, (0, 1))).mean())
         assert abs(covariance) < LIMIT * 0.21 / 200
@@ -164,14 +164,14 @@ def test_stpd_drops_pixels_independently():
 
 def test_stpd_without_and_with_all_dropout():
     x0 = path_map()
-    assert torch.equal(stochastic_trajectory_pixel_dropout(x0, 0, seeded()), x0)
-    assert not stochastic_trajectory_pixel_dropout(x0, 1, seeded()).any()
+    assert torch.equal(stpd(x0, 0, seeded()), x0)
+    assert not stpd(x0, 1, seeded()).any()
 
 
 @pytest.mark.parametrize("p", [-0.1, 1.1, math.nan])
 def test_stpd_refuses_what_is_no_probability(p):
     with pytest.raises(ValueError, match=r"^p must be a probability, 0\.\.1; got "):
-        stochastic_trajectory_pixel_dropout(path_map(), p, seeded())
+        stpd(path_map(), p, seeded())
 
 
 def test_noisy_signal_has_the_moments_of_the_forward_process():
@@ -438,7 +438,7 @@ def test_noise_comes_from_the_generators_device_and_work_is_done_on_the_one_aske
     )
     assert {estimate.device.type for estimate in run} == {"meta"}
     x0 = torch.zeros(2, 4, device="meta")
-    assert stochastic_trajectory_pixel_dropout(x0, 0.5, seeded()).device.type == "meta"
+    assert stpd(x0, 0.5, seeded()).device.type == "meta"
     assert (
         q_sample(
             cosine_schedule(), x0, torch.zeros(2, dtype=torch.int64, device="meta"), x0
