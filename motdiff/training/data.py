@@ -72,55 +72,47 @@ class BatchSource(Protocol):
         ...
 
 
+@dataclass(frozen=True)
 class LiveSource:
     """Samples simulated on the fly: no two steps have the same photo.
 
     Parameters
     ----------
+    bank : MotionBank
     scenes : sequence of (3, H, W) uint8 tensors
         Sharp photos, on the bank's device.
+    photography : Photography
     photo, physics : bool
         Inputs of the network.
+    seed : int
     """
 
-    def __init__(
-        self,
-        bank: MotionBank,
-        scenes: Sequence[Tensor],
-        photography: Photography,
-        *,
-        photo: bool,
-        physics: bool,
-        seed: int,
-    ) -> None:
-        self._bank = bank
-        self._scenes = scenes
-        self._photography = photography
-        self._photo = photo
-        self._physics = physics
-        self._seed = seed
+    bank: MotionBank
+    scenes: Sequence[Tensor]
+    photography: Photography
+    photo: bool
+    physics: bool
+    seed: int
 
     def batch(self, step: int, size: int, *, rank: int = 0) -> Batch:
         """Simulate the batch of a step."""
-        seed = seed_of(self._seed, step, rank, _PHOTOS)
-        device = self._bank.psfs.device
-        draw = torch.Generator().manual_seed(seed_of(self._seed, step, rank, _MOTIONS))
-        index = torch.randint(len(self._bank), (size,), generator=draw).to(device)
+        draw = torch.Generator().manual_seed(seed_of(self.seed, step, rank, _MOTIONS))
+        index = torch.randint(len(self.bank), (size,), generator=draw)
         samples = simulate(
-            self._bank,
-            self._scenes,
-            index,
-            photography=self._photography,
-            physics=self._physics,
-            seed=seed,
+            self.bank,
+            self.scenes,
+            index.to(self.bank.psfs.device),
+            photography=self.photography,
+            physics=self.physics,
+            seed=seed_of(self.seed, step, rank, _PHOTOS),
         )
         grey = samples.photos.mean(dim=1, keepdim=True)
-        photo = physics = None
-        if self._physics:
-            physics = physics_maps(grey, samples.kernels)
-        if self._photo:
-            photo = display_photo(grey)
-        return Batch(photo, physics, samples.x0, samples.dwell)
+        return Batch(
+            display_photo(grey) if self.photo else None,
+            physics_maps(grey, samples.kernels) if self.physics else None,
+            samples.x0,
+            samples.dwell,
+        )
 
 
 class PreparedSource:
