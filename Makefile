@@ -11,9 +11,8 @@ QUICK ?= --quick
 # each worker takes a half of the tests as they stand, so that what a module's tests share is made once; whoever is ready helps
 # one thread each: beside another busy process two threads wait for each other at each convolution
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n 2 --dist worksteal
-STUDIES = $(filter-out __init__ inputs,$(notdir $(basename $(wildcard lab/studies/*.py))))
 
-.PHONY: help demo docs test test-slow test-all test-lab lint bench benchmarks firmware clean
+.PHONY: help demo docs test test-slow test-all test-lab lint bench firmware clean
 
 help:
 	@echo "make demo             the whole chain on a bundled photo, to $(OUT)/report.html"
@@ -26,7 +25,6 @@ help:
 	@echo "make lint             ruff, strict mypy and the rules on imports"
 	@echo "make bench            the paper's tables at their quick size, to $(BENCH)/README.md"
 	@echo "make bench QUICK= DATA=folder   the same at full size (days), of your photos; stopped, it goes on"
-	@echo "make benchmarks       the measurements under lab/studies/"
 	@echo "make firmware         the shutter controller's firmware; MAX_ON_US=500 MAX_DUTY_PERMILLE=400 builds limits in"
 
 demo: $(READY)
@@ -56,9 +54,6 @@ lint: $(READY)
 
 bench: $(READY)
 	$(BIN)/python -m lab bench $(QUICK) --force -o "$(BENCH)" $(if $(DATA),--data "$(DATA)")
-
-benchmarks: $(READY)
-	@for script in $(STUDIES); do echo "== $$script"; $(BIN)/python -m "lab.studies.$$script" || exit 1; done
 
 firmware:
 	$(MAKE) -C hw/firmware/avr

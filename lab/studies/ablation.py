@@ -118,7 +118,7 @@ def main() -> None:
     parser = study_parser(__doc__)
     parser.add_argument(
         "data",
-        nargs="*",
+        nargs="+",
         help="folder of sharp photos; or, with --physics, both folders of samples",
     )
     parser.add_argument("--physics", action="store_true")
@@ -126,9 +126,6 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=1600)
     parser.add_argument("--seeds", type=int, default=1)
     options = parser.parse_args()
-    if not options.data:
-        print("skipped: it needs a folder of sharp photos, see --help")
-        return
     if len(options.data) != (2 if options.physics else 1):
         parser.error(
             "give one folder of photos, or with --physics the two folders of prepared samples"

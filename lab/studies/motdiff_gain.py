@@ -391,8 +391,8 @@ def table(rows: list[dict]) -> Iterator[str]:
 
 def main() -> None:
     parser = study_parser(__doc__)
-    parser.add_argument("what", choices=["rows", "table"], nargs="?")
-    parser.add_argument("files", type=Path, nargs="*")
+    parser.add_argument("what", choices=["rows", "table"])
+    parser.add_argument("files", type=Path, nargs="+")
     parser.add_argument("--prepared", type=Path, metavar="CONFIG")
     parser.add_argument("--data", type=Path)
     parser.add_argument("--protocol", default="card-walks")
@@ -400,9 +400,6 @@ def main() -> None:
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--count", type=int, help="the first photos alone")
     options = parser.parse_args()
-    if options.what is None:
-        print("skipped: it needs photos, see --help")
-        return
     if options.what == "table":
         print("\n".join(table(read_rows(options.files))))
         return

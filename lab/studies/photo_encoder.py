@@ -119,13 +119,10 @@ def measured(trainer: Trainer, batches: list[Batch]) -> tuple[float, np.ndarray]
 
 def main() -> None:
     parser = study_parser(__doc__)
-    parser.add_argument("config", nargs="?", help="TOML file of a run with prepared samples")
+    parser.add_argument("config", help="TOML file of a run with prepared samples")
     parser.add_argument("--runs", type=Path, default=Path("photo_encoder"))
     parser.add_argument("--updates", type=int, default=128)
     options = parser.parse_args()
-    if options.config is None:
-        print("skipped: it needs a run's TOML file, see --help")
-        return
     base = read_config(options.config)
     steps = {"steps": options.updates, "warm_up": options.updates // 8, "rate": 4e-4, "ema": 0.98}
     fields = {"start": str(DEFAULT_WEIGHTS), "window": 64, "precision": "bf16"}

@@ -158,15 +158,12 @@ def table(rows: list[dict]) -> Iterator[str]:
 
 def main() -> None:
     parser = study_parser(__doc__)
-    parser.add_argument("file", type=Path, nargs="?")
-    parser.add_argument("--photos", type=Path, nargs="+")
-    parser.add_argument("--gyro", type=Path)
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--photos", type=Path, nargs="+", required=True)
+    parser.add_argument("--gyro", type=Path, required=True)
     parser.add_argument("--count", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    if options.file is None or options.photos is None or options.gyro is None:
-        print("skipped: it needs photos and a recording, see --help")
-        return
     finished = {row["name"] for row in finished_rows(options.file)}
     estimator = MotDiffEstimator()
     trace = read_gyro(options.gyro)

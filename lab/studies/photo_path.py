@@ -146,17 +146,14 @@ def table(rows: list[dict]) -> Iterator[str]:
 
 def main() -> None:
     parser = study_parser(__doc__)
-    parser.add_argument("what", choices=["rows", "table"], nargs="?")
-    parser.add_argument("files", type=Path, nargs="*")
+    parser.add_argument("what", choices=["rows", "table"])
+    parser.add_argument("files", type=Path, nargs="+")
     parser.add_argument("--photos", type=Path, nargs="+")
     parser.add_argument("--gyro", type=Path)
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    if options.what is None:
-        print("skipped: it needs photos, see --help")
-        return
     if options.what == "table":
         print("\n".join(table([row for file in options.files for row in kept_rows(file)])))
         return

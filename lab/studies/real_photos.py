@@ -153,13 +153,10 @@ def sheet(restored_cases: list[Case], file: Path) -> None:
 
 def main() -> None:
     parser = study_parser(__doc__)
-    parser.add_argument("photos", type=Path, nargs="*", help="photos, or folders of them")
+    parser.add_argument("photos", type=Path, nargs="+", help="photos, or folders of them")
     parser.add_argument("-o", "--output", type=Path, default=Path("real_photos"))
     parser.add_argument("--anyway", action="store_true", help="restore kept photos all the same")
     options = parser.parse_args()
-    if not options.photos:
-        print("skipped: it needs photos, see --help")
-        return
     files = [
         file
         for place in options.photos
