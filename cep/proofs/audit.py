@@ -119,7 +119,7 @@ class Audit:
     @property
     def null(self) -> bool:
         """Whether the code has, for every practical purpose, a zero."""
-        return self.certificate.upper < null_threshold(self.code, self.along)
+        return self.certificate.upper < _NULL * _dc(self.code, self.along)
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep audit --json`` prints them."""
@@ -241,11 +241,6 @@ def audit(
     return Audit(
         code, motion, along, metrics, certificate, zeros, grids, neighbours, flips, own_values
     )
-
-
-def null_threshold(code: ShutterCode, trajectory: Trajectory | None) -> float:
-    """Minimum below which a code practically has a zero: a ten-thousandth of its DC."""
-    return _NULL * _dc(code, trajectory)
 
 
 def _dc(code: ShutterCode, trajectory: Trajectory | None) -> float:

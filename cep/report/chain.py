@@ -31,8 +31,8 @@ _MOST_CHIPS = 64
 _LARGEST_SCENE_PX = 768  # of a user's photo: TV takes a minute on more
 _RESTORATION = "pnp"  # the one that the gains are those of
 # shares of the time when each is done
-_MOTION_SHARE = 0.68
-_ADVICE_SHARE = 0.82
+_MOTION_SHARE = 0.6
+_ADVICE_SHARE = 0.76
 _PHOTOS_SHARE = 0.95
 
 

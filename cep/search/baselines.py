@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.codes.published import for_chips
+from cep.files.tables import markdown_table
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.anneal import anneal
-from cep.search.annealing.polish import judging_objective
 from cep.search.limits import Limits, RunLimits
-from cep.search.objective import Objective
+from cep.search.objective import FINE, Objective
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -102,23 +102,13 @@ class BaselineRow(ComparedCode):
 
 
 class Comparison(tuple[BaselineRow, ...]):
-    """Rows of a comparison, the code itself first; printed as a table."""
+    """Rows of a comparison, the code itself first; printed as a table in Markdown."""
 
     __slots__ = ()
 
     def __repr__(self) -> str:
-        cells = [("", "open", "min MTF", "noise gain, dB", "MSE, dB"), *map(_cells, self)]
-        # names flush left, figures flush right, as in the commands' tables
-        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
-        return "\n".join(
-            "  ".join(
-                [
-                    row[0].ljust(widths[0]),
-                    *(text.rjust(n) for text, n in zip(row[1:], widths[1:], strict=True)),
-                ]
-            )
-            for row in cells
-        )
+        head = ("", "open", "min MTF", "noise gain, dB", "MSE, dB")
+        return markdown_table(head, [_cells(row) for row in self])
 
 
 def compare(
@@ -172,13 +162,9 @@ def compare(
     return Comparison(rows)
 
 
-def _cells(row: BaselineRow) -> tuple[str, ...]:
-    figures = [row.metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db")]
-    return (
-        row.label,
-        str(row.code.open_chips),
-        *(f"{x:.4g}" if isinstance(x, float) else str(x) for x in figures),
-    )
+def _cells(row: BaselineRow) -> tuple[object, ...]:
+    figures = (row.metrics.in_words(name) for name in ("min_mtf", "noise_gain_db", "mse_db"))
+    return row.label, row.code.open_chips, *figures
 
 
 def find_baselines(
@@ -220,7 +206,7 @@ def find_baselines(
     searched as the DNF methods do: for a uniform straight motion of the path's length, least
     noise. The random code is the middle one of 15 by the objective.
     """
-    judge = judge or judging_objective(problem)
+    judge = judge or Objective(problem, **FINE)
 
     def baseline(name: str, code: ShutterCode, *, stopped_early: bool = False) -> Baseline:
         allowed = problem.allows(code)

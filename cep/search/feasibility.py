@@ -12,9 +12,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.limits import CLOSED, MOST_NUMBERS, OVER, Limits, RunLimits, Step
+from cep.search.limits import CLOSED, OVER, Limits, RunLimits, Step
 from motdiff.types import BoolArray
 
+_MOST_NUMBERS = 3 * 2**22  # of a table over walks: 96 MB
 _NEVER = 1 << 30  # pulses, or changes, of a code that does not exist: sums of two fit in int64
 
 
@@ -106,7 +107,7 @@ def nearest(limits: Limits, code: NDArray[np.integer] | BoolArray) -> NDArray[np
     steps = limits.steps()
     high = limits.open_range[1]
     most_pulses = limits.most_pulses or 0  # 0: nothing moves along the axis of pulses
-    if 3 * (n + 1) * (high + 1) * (most_pulses + 1) > MOST_NUMBERS:
+    if 3 * (n + 1) * (high + 1) * (most_pulses + 1) > _MOST_NUMBERS:
         return None
     opened_before = np.concatenate([[0], np.cumsum(np.asarray(code) != 0)])
 

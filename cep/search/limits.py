@@ -21,9 +21,6 @@ CLOSED = 0  # states of a walk
 OPEN = 1
 OVER = 2
 
-MOST_NUMBERS = 3 * 2**22
-"""Most numbers of a table over walks: 96 MB."""
-
 
 class Step(NamedTuple):
     """A step of a walk.

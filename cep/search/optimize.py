@@ -17,11 +17,11 @@ from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.measure import CodeMetrics
-from cep.search.annealing.polish import judging_objective
 from cep.search.baselines import Comparison, compare, mean_length_px
 from cep.search.bounds import bound
 from cep.search.chip_count import ChipCount, choose_chips
 from cep.search.exhaustive.exact import codes_to_count
+from cep.search.objective import FINE, Objective
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
 from cep.search.search import (
@@ -422,7 +422,8 @@ def _costs_db(problem: SearchProblem, codes: Sequence[ShutterCode]) -> list[floa
     """Cost of codes by the objective "mse", dB."""
     if not codes:
         return []
-    costs_db = judging_objective(problem).cost_of(np.array([code.array for code in codes]))
+    objective = Objective(problem, **FINE)
+    costs_db = objective.cost_of(np.array([code.array for code in codes]))
     return [float(cost_db) for cost_db in costs_db]
 
 

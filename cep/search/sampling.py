@@ -7,32 +7,30 @@ gaps), a closed form. A longest run and a least period need dynamic programming 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.limits import CLOSED, MOST_NUMBERS, OPEN, OVER, Limits
+from cep.search.limits import CLOSED, OPEN, OVER, Limits
 from motdiff.types import FloatArray
 
 IntArray = NDArray[np.intp]
-_TILT_BATCH = 256  # walks by which a weight is tried
-_TILT_ACCEPTED = 0.25  # share of walks drawn with a weight on pulses that keep the limit on them
+_MOST_COUNTS = 2**26  # numbers of a table of walks: 512 MB
 
 
 def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
-    """Draw ``count`` codes within feasible limits, (count, n) of 0 and 1.
+    """Draw ``count`` codes within feasible limits, all equally likely: (count, n) of 0 and 1.
 
-    All codes are equally likely, with one exception: if runs are limited by ``max_open`` or
-    ``min_period``, and the table over open chips and pulses would exceed 12 million numbers (as
-    for 512 chips and 16 pulses), codes of few pulses are somewhat likelier than others.
+    Raises
+    ------
+    ValueError
+        If there are too many chips, thousands, for a limit on pulses beside one on their length or
+        period.
     """
-    if not limits.counts_runs:
-        return _draw_free(limits, count, rng)
-    if _size(limits) <= MOST_NUMBERS:
-        return _walks(limits, True, 0.0).draw(count, rng)
-    return _draw_tilted(limits, count, rng)
+    if limits.counts_runs:
+        return _draw_walks(limits, count, rng)
+    return _draw_free(limits, count, rng)
 
 
 # -- no pulse's length decides what may follow: compositions --------------------------------------
@@ -116,86 +114,78 @@ def _filled(
 # -- otherwise: walks -----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class _Walks:
-    """Logarithms of the number of ways to go on: state, position, open chips and pulses left.
+def _draw_walks(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
+    n = limits.chips
+    opens, pulses = _counted(limits)
+    log_counts = _walk_counts(limits)
+    columns = map(np.array, zip(*limits.steps(), strict=True))
+    # of each step, (S,); where it fits, (S, n + 1)
+    source, open_chips, closed_chips, target, starts, fits = columns
+    open_left = _pick(_by_open_chips(limits), count, rng) + opens * limits.open_range[0]
+    pulses_left = np.full(count, log_counts.shape[3] - 1)
+    place = np.zeros(count, dtype=np.intp)
+    state = np.full(count, CLOSED, dtype=np.intp)
+    edges = np.zeros((count, n + 1), dtype=np.int8)
+    rows = np.arange(count)
+    while rows.size:
+        position = place[rows]
+        # (S, R): every step of every walk
+        after = position + (open_chips + closed_chips)[:, None]
+        k = open_left[rows] - opens * open_chips[:, None]
+        p = pulses_left[rows] - pulses * starts[:, None]
+        possible = (source[:, None] == state[rows]) & fits[:, position] & (k >= 0) & (p >= 0)
+        log_count = log_counts[target[:, None], np.minimum(after, n), k.clip(0), p.clip(0)]
+        # the counts themselves may overflow: weights relative to the largest
+        weights = np.where(possible, log_count, -np.inf)
+        share = np.cumsum(np.exp(weights - weights.max(axis=0)), axis=0)
+        # a product rounded up to the total would pick the last step, possible or not
+        threshold = np.minimum(rng.random(rows.size) * share[-1], np.nextafter(share[-1], 0))
+        step = (threshold >= share[:-1]).sum(axis=0)
+        edges[rows, position] += starts[step].astype(np.int8)
+        pulse_ends = ((source[step] == OPEN) | (starts[step] == 1)) & (target[step] != OPEN)
+        edges[rows, position + open_chips[step]] -= pulse_ends.astype(np.int8)
+        chosen = step, np.arange(rows.size)
+        place[rows] = after[chosen]
+        open_left[rows] = k[chosen]
+        pulses_left[rows] = p[chosen]
+        state[rows] = target[step]
+        rows = rows[target[step] != OVER]
+    return np.cumsum(edges, axis=1, dtype=np.int8)[:, :-1]
 
-    Where the open chips or the pulses are free, their axis has length 1 and nothing moves along
-    it.
-    """
 
-    limits: Limits
-    log_counts: FloatArray  # (3, n + 1, K, P)
-    # steps along the axis of open chips that one of them takes: 1, or 0 when they are free
-    opens: int
-    pulses: int
-    tilt: float  # added per pulse
-
-    @property
-    def by_count(self) -> FloatArray:
-        """Logarithms of the number of codes by open chips in their range, or of all."""
-        low, high = (self.opens * count for count in self.limits.open_range)
-        return self.log_counts[CLOSED, 0, low : high + 1, -1]
-
-    def draw(self, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
-        n = self.limits.chips
-        columns = map(np.array, zip(*self.limits.steps(), strict=True))
-        source, open_chips, closed_chips, target, pulses, fits = (
-            columns  # (S,), and (S, n + 1) of fits
-        )
-        open_left = _pick(self.by_count, count, rng) + self.opens * self.limits.open_range[0]
-        budget = np.full(count, self.log_counts.shape[3] - 1)
-        place = np.zeros(count, dtype=np.intp)
-        state = np.full(count, CLOSED, dtype=np.intp)
-        edges = np.zeros((count, n + 1), dtype=np.int8)
-        rows = np.arange(count)
-        while rows.size:
-            position = place[rows]
-            # (S, R): every step of every walk
-            after = position + (open_chips + closed_chips)[:, None]
-            k = open_left[rows] - self.opens * open_chips[:, None]
-            p = budget[rows] - self.pulses * pulses[:, None]
-            possible = (source[:, None] == state[rows]) & fits[:, position] & (k >= 0) & (p >= 0)
-            log_count = self.log_counts[
-                target[:, None], np.minimum(after, n), k.clip(0), p.clip(0)
-            ]
-            # the counts themselves may overflow: weights relative to the largest
-            weights = np.where(possible, log_count + self.tilt * pulses[:, None], -np.inf)
-            share = np.cumsum(np.exp(weights - weights.max(axis=0)), axis=0)
-            # a product rounded up to the total would pick the last step, possible or not
-            threshold = np.minimum(rng.random(rows.size) * share[-1], np.nextafter(share[-1], 0))
-            step = (threshold >= share[:-1]).sum(axis=0)
-            edges[rows, position] += pulses[step].astype(np.int8)
-            pulse_ends = ((source[step] == OPEN) | (pulses[step] == 1)) & (target[step] != OPEN)
-            edges[rows, position + open_chips[step]] -= pulse_ends.astype(np.int8)
-            chosen = step, np.arange(rows.size)
-            place[rows] = after[chosen]
-            open_left[rows] = k[chosen]
-            budget[rows] = p[chosen]
-            state[rows] = target[step]
-            rows = rows[target[step] != OVER]
-        return np.cumsum(edges, axis=1, dtype=np.int8)[:, :-1]
+def _counted(limits: Limits) -> tuple[int, int]:
+    """Whether open chips are counted, and pulses, 1 or 0: limits on the others never bind."""
+    return int(limits.counts_opens), int(limits.most_pulses is not None)
 
 
 @lru_cache(maxsize=2)
-def _walks(limits: Limits, counting_pulses: bool, tilt: float) -> _Walks:
+def _walk_counts(limits: Limits) -> FloatArray:
+    """Logarithms of the number of ways to go on: state, position, open chips and pulses left.
+
+    The axis of what is not counted has length 1, and nothing moves along it.
+    """
     n = limits.chips
-    most_pulses = None
-    if counting_pulses:
-        most_pulses = limits.most_pulses
-    opens = int(limits.counts_opens)
-    pulses = int(most_pulses is not None)
-    log_counts = np.full(
-        (3, n + 1, limits.open_range[1] * opens + 1, (most_pulses or 0) + 1), -np.inf
-    )
+    opens, pulses = _counted(limits)
+    shape = (3, n + 1, limits.open_range[1] * opens + 1, (limits.most_pulses or 0) + 1)
+    if np.prod(shape) > _MOST_COUNTS:
+        raise ValueError(
+            f"chips: {n} are too many for a limit on pulses beside one on their length or period"
+        )
+    log_counts = np.full(shape, -np.inf)
     log_counts[OVER, :, 0] = 0.0
     steps = limits.steps()
     for i in reversed(range(n + 1)):
         for state, open_chips, closed_chips, next_state, starts, fits in steps:
             if fits[i]:
-                onwards = log_counts[next_state, i + open_chips + closed_chips] + tilt * starts
+                onwards = log_counts[next_state, i + open_chips + closed_chips]
                 _add(log_counts[state, i], onwards, open_chips * opens, pulses * starts)
-    return _Walks(limits, log_counts, opens, pulses, tilt)
+    return log_counts
+
+
+def _by_open_chips(limits: Limits) -> FloatArray:
+    """Logarithms of the number of codes by open chips in their range, or of all."""
+    low, high = (_counted(limits)[0] * count for count in limits.open_range)
+    return _walk_counts(limits)[CLOSED, 0, low : high + 1, -1]
 
 
 def _add(total: FloatArray, log_counts: FloatArray, opens: int, pulses: int) -> None:
@@ -204,40 +194,6 @@ def _add(total: FloatArray, log_counts: FloatArray, opens: int, pulses: int) -> 
     columns = total.shape[1] - pulses
     target = total[opens:, pulses:]
     np.logaddexp(target, log_counts[:rows, :columns], out=target)
-
-
-def _size(limits: Limits) -> int:
-    """Numbers in the table over open chips and pulses."""
-    opens = limits.open_range[1] * limits.counts_opens + 1
-    return 3 * (limits.chips + 1) * opens * ((limits.most_pulses or 0) + 1)
-
-
-def _draw_tilted(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
-    """Draw with a weight per pulse, and leave out codes of too many pulses."""
-    walks = _walks(limits, False, _tilt(limits))
-    accepted = np.empty((0, limits.chips), dtype=np.int8)
-    while len(accepted) < count:
-        codes = walks.draw(2 * count, rng)
-        accepted = np.concatenate([accepted, codes[_few_pulses(limits, codes)]])
-    return accepted[:count]
-
-
-@lru_cache(maxsize=16)
-def _tilt(limits: Limits) -> float:
-    """Log weight per pulse with which a good share of the walks keeps the limit on pulses."""
-    tilt = 0.0
-    rng = np.random.default_rng(0)  # the weight must not depend on the caller's draws
-    while (
-        _few_pulses(limits, _walks(limits, False, tilt).draw(_TILT_BATCH, rng)).mean()
-        < _TILT_ACCEPTED
-    ):
-        tilt = 2 * tilt - 0.25
-    return tilt
-
-
-def _few_pulses(limits: Limits, codes: NDArray[np.int8]) -> NDArray[np.bool_]:
-    pulses = (np.diff(codes, axis=1, prepend=0) > 0).sum(axis=1)
-    return np.asarray(pulses <= (limits.runs.max_pulses or limits.chips), dtype=np.bool_)
 
 
 def _pick(log_weights: FloatArray, count: int, rng: np.random.Generator) -> IntArray:

@@ -21,11 +21,10 @@ import numpy as np
 
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import SearchResult, anneal, standard_moves
-from cep.search.annealing.polish import judging_objective
 from cep.search.baselines import Baseline, find_baselines
 from cep.search.exhaustive.exact import ExactResult, ProofLog, codes_to_count, exact
 from cep.search.feasibility import nearest
-from cep.search.objective import Objective
+from cep.search.objective import FINE, Objective
 from cep.search.optima import proven_optimum, proven_starts
 from cep.search.problem import SearchProblem
 
@@ -174,8 +173,7 @@ def search(
     if proven is None:
         # the search's draws must not depend on how many the baselines take
         for_baselines, rng = rng.spawn(2)
-    # float64: candidates that are almost as good must not be ranked by rounding
-    judge = judging_objective(problem)
+    judge = Objective(problem, **FINE)
     rivals: list[Baseline] = []
     interrupted = False
     try:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from cep.optics.code import ShutterCode
 from cep.search.annealing.cooling import anneal_chain
-from cep.search.annealing.polish import Polished, judging_objective, polish
+from cep.search.annealing.polish import Polished, polish
 from cep.search.annealing.sweeps import sweep_tables, sweeps, swept
 from cep.search.annealing.terms import lay_out
-from cep.search.objective import Objective, sample_count
+from cep.search.objective import FINE, Objective, sample_count
 from cep.search.problem import SearchProblem
 from motdiff.types import FloatArray
 
@@ -169,7 +169,7 @@ def anneal(
     longest = _LONGEST
     if swept(problem):
         # what is best on the coarse samples need not be so between them
-        ranking = judge = judge or judging_objective(problem)
+        ranking = judge = judge or Objective(problem, **FINE)
         longest = _LONGEST_SWEPT
     elites = Elites(ranking.cost_of, _ELITES)
     seeds = np.array([*starts, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
@@ -204,7 +204,7 @@ def anneal(
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
     best = ShutterCode.from_array(elites.ranked()[0])
-    fine = judge or judging_objective(problem)
+    fine = judge or Objective(problem, **FINE)
     polished = Polished(best, fine.exact_cost(best), 0.0)
     polished, stopped = budget.polished(
         polished, polish(fine, elites.ranked(), swaps=swaps), report, stopped=stopped

@@ -20,17 +20,11 @@ Codes = NDArray[np.int8]
 Indices = NDArray[np.intp]
 RealArray = NDArray[Any]
 BATCH = 2**18  # numbers of an OTF evaluated at once: they stay in the cache
-_OVERSAMPLING = 64  # of what codes are judged by: 8 hide zeros between them
 _HOPEFUL = 8  # neighbours evaluated on the continuum in a step
 # numbers times chips of a step; beyond, as for very long codes, swaps are left out
 _MOST_WORK = 2**39
 _SPARSE = 8  # one frequency in so many suffices to reject nearly every code
 GAIN_DB = 1e-9  # a smaller one is rounding, which could exchange two equal codes without end
-
-
-def judging_objective(problem: SearchProblem) -> Objective:
-    """Make the objective by which codes are compared in the end, fine and in float64."""
-    return Objective(problem, oversampling=_OVERSAMPLING, dtype=np.float64)
 
 
 class Polished(NamedTuple):

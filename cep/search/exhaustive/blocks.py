@@ -170,7 +170,7 @@ class Scanner:
         self,
         span: NDArray[np.int64],
         buffer: NDArray[np.uint64],
-        counts: NDArray[np.int64],
+        scanned: NDArray[np.int64],
         halt: NDArray[np.bool_],
     ) -> NDArray[np.uint64]:
         """Scan from ``span[0]``, ``span[2]`` on; returns the survivors."""
@@ -192,7 +192,7 @@ class Scanner:
             tables.limit2,
             span,
             buffer,
-            counts,
+            scanned,
             halt,
         )
         return buffer[:number].copy()

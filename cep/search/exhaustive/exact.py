@@ -66,30 +66,13 @@ class LengthLog:
     judged : int
         Codes within the limit on light that the scan took up: mirror images mostly once, and none
         that break a run limit in their first, last or middle chips.
-    left_by_tables, kept_runs, left_by_samples : int
-        Of these, how many the bit tables left, kept every run limit, and were not below the limit
-        at any sample. The last are judged one by one.
     complete : bool
     """
 
     length: int
     codes: int
     judged: int = 0
-    left_by_tables: int = 0
-    kept_runs: int = 0
-    left_by_samples: int = 0
     complete: bool = False
-
-    def grown(self, counts: NDArray[np.int64]) -> LengthLog:
-        """Log after another range of heads."""
-        scanned, by_tables, within_runs, by_samples = (int(count) for count in counts)
-        return replace(
-            self,
-            judged=self.judged + scanned,
-            left_by_tables=self.left_by_tables + by_tables,
-            kept_runs=self.kept_runs + within_runs,
-            left_by_samples=self.left_by_samples + by_samples,
-        )
 
 
 @dataclass(frozen=True)
@@ -295,9 +278,7 @@ class _Proof:
         if self.best.on_circle:
             codes = codes[((codes & np.uint64(1)) == 1) & ((codes >> np.uint64(length - 1)) == 1)]
         self.best.offer(codes)
-        self.logs[length] = replace(
-            self.logs[length], judged=codes.size, left_by_samples=codes.size, complete=True
-        )
+        self.logs[length] = replace(self.logs[length], judged=codes.size, complete=True)
 
     def _scan(self, length: int, threads: int, report: Callable[[float], None]) -> None:
         halt = np.zeros(1, dtype=np.bool_)
@@ -315,7 +296,8 @@ class _Proof:
                     todo = todo[size:]
                     running = [pool.submit(self._slice, scanner, span, halt) for span in batch]
                     for future in as_completed(running):
-                        self.logs[length] = self.logs[length].grown(future.result())
+                        count = self.logs[length].judged + future.result()
+                        self.logs[length] = replace(self.logs[length], judged=count)
                         scanned += 1
                         report(scanned / total)
                     size *= 2
@@ -335,18 +317,16 @@ class _Proof:
             mirrors=self.problem.mirrors,
         )
 
-    def _slice(
-        self, scanner: Scanner, heads: tuple[int, int], halt: NDArray[np.bool_]
-    ) -> NDArray[np.int64]:
+    def _slice(self, scanner: Scanner, heads: tuple[int, int], halt: NDArray[np.bool_]) -> int:
         # the scan leaves off here where its buffer is full, and goes on from here
         span = np.array([*heads, 0], dtype=np.int64)
-        counts = np.zeros(4, dtype=np.int64)
+        scanned = np.zeros(1, dtype=np.int64)
         room = scanner.buffer()
         while span[0] < span[1] and not halt[0]:
-            survivors = scanner.run(span, room, counts, halt)
+            survivors = scanner.run(span, room, scanned, halt)
             with self.lock:
                 self.best.offer(survivors)
-        return counts
+        return int(scanned[0])
 
     def log(self, minimum: Minimum) -> ProofLog:
         """Log the proof, with the certified minimum of the best code."""

@@ -181,7 +181,7 @@ def scan(
     limit2: np.float32,
     span: Counts,
     survivors: Bits,
-    counts: Counts,
+    scanned: Counts,
     halt: NDArray[np.bool_],
 ) -> int:
     """Go through all codes of a range of heads; returns how many were written to ``survivors``.
@@ -215,9 +215,8 @@ def scan(
         ``halt``.
     survivors : (M,) uint64
         Codes that reach the limit at every frequency.
-    counts : (4,) int64
-        Raised by the number of codes within the limit on light, and of those that the cells left,
-        that kept the run limits, and that were found.
+    scanned : (1,) int64
+        Raised by the number of codes within the limit on light.
     halt : (1,) bool
         Set from another thread to stop.
     """
@@ -254,7 +253,7 @@ def scan(
                 outer_sums[f] = head.sums[i, f] + tail.sums[j, f]
             for k in range(near_at[low], near_at[high + 1]):
                 outside = open_chips + near_open_chips[k]
-                counts[0] += inner_count[outside]
+                scanned[0] += inner_count[outside]
                 for f in range(frequencies):
                     x = (outer_sums[f] + near_sums[k, f]) >> SHIFT
                     y = (outer_sums[frequencies + f] + near_sums[k, frequencies + f]) >> SHIFT
@@ -304,15 +303,12 @@ def scan(
                             ]
                         )
                         bits &= bits - np.uint64(1)
-                        counts[1] += 1
                         if limits.constrained:
                             for chip in range(chips.size):
                                 chips[chip] = (code >> np.uint64(chip)) & np.uint64(1)
                             if not keeps_runs(chips, limits):
                                 continue
-                        counts[2] += 1
                         if _reaches(code, dense, limit2):
-                            counts[3] += 1
                             survivors[number] = code
                             number += 1
         start = 0

@@ -104,8 +104,6 @@ def test_bit_tables_lose_no_code(options):
     assert found.proven
     assert recheck(found.proof)
     assert problem.satisfied(found.code.array[None])[0]
-    last = found.proof.lengths[-1]
-    assert last.left_by_samples <= last.kept_runs <= last.left_by_tables < last.judged / 4
 
 
 @pytest.mark.slow  # brute force
