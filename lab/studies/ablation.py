@@ -24,7 +24,8 @@ import torch
 from lab.bench.statistics import mean_interval
 from lab.studies.inputs import add_row, finished_rows, study_parser
 from motdiff.training.config import DataConfig, TrainingConfig, read_config
-from motdiff.training.run import Pace, make_sources, train, validation_scores
+from motdiff.training.data import make_sources
+from motdiff.training.run import Pace, train, validation_scores
 
 _CONFIGS = Path(__file__).parents[2] / "motdiff" / "configs"
 _BATCH = 16

@@ -14,13 +14,24 @@ import torch
 from torch import Tensor
 
 from motdiff.blind_search.grids import SYMMETRIES, mirrored
-from motdiff.network.physics_maps import display_photo, physics_maps, spectral_maps, stacked_maps
+from motdiff.network.condition import PHOTO_PX
+from motdiff.network.physics_maps import (
+    QUICK_STARTS,
+    display_photo,
+    physics_maps,
+    spectral_maps,
+    stacked_maps,
+)
 from motdiff.psf_frame import MAP_PITCH
-from motdiff.training.motion_bank import MotionBank
-from motdiff.training.prepared import light_of
+from motdiff.training.config import TrainingConfig
+from motdiff.training.motion_bank import MotionBank, build_bank
+from motdiff.training.photos import load_scenes
+from motdiff.training.prepared import light_of, read_shards
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography
 
+VALIDATION_SEED = 7  # any, but the same: runs are compared on the same draws
+_VALIDATION_BATCH = 32
 _SPECTRAL_BATCH = 64  # bounds the memory of the spectra
 _MOTIONS = 1  # one seed for both would give each motion the same scene every time
 _PHOTOS = 2
@@ -70,6 +81,14 @@ class BatchSource(Protocol):
     def batch(self, step: int, size: int, *, rank: int = 0) -> Batch:
         """Give ``size`` samples for ``step``, others for every ``rank``."""
         ...
+
+
+@dataclass(frozen=True)
+class Sources:
+    """Training batches, and fixed validation batches of other photos and motions."""
+
+    training: BatchSource
+    validation: tuple[Batch, ...]
 
 
 @dataclass(frozen=True)
@@ -198,6 +217,81 @@ def _joined(batches: Sequence[Batch]) -> Batch:
         torch.cat([batch.x0 for batch in batches]),
         torch.cat([batch.dwell for batch in batches]),
     )
+
+
+def make_sources(
+    config: TrainingConfig, *, device: torch.device | str = "cpu", workers: int = 1
+) -> Sources:
+    """Read or simulate the samples of the run.
+
+    Parameters
+    ----------
+    device : torch.device or str
+        Where photos are simulated.
+    workers : int
+        Processes that draw the bank of motions.
+
+    Raises
+    ------
+    ValueError
+        If the network takes another number of physics maps than there are, or there are too few
+        photos.
+    """
+    data = config.data
+    seed = config.optimiser.seed
+    inputs = {
+        "photo": config.network.backbone != "none",
+        "physics": config.network.physics_channels > 0,
+    }
+    if data.prepared:
+        samples = _shards("prepared", data.prepared)
+        _check_channels(config, samples.kernels.shape[1])
+        held_out = _shards("prepared_validation", data.prepared_validation)
+        validation = PreparedSource(held_out, seed=VALIDATION_SEED, symmetries=False, **inputs)
+        count = min(data.validation, len(validation))
+        batches = validation.batch(0, count).split(_VALIDATION_BATCH)
+        return Sources(
+            PreparedSource(samples, seed=seed, **inputs),
+            tuple(batch.to(device) for batch in batches),
+        )
+    _check_channels(config, len(QUICK_STARTS))
+    sizes = [
+        min(_VALIDATION_BATCH, data.validation - first)
+        for first in range(0, data.validation, _VALIDATION_BATCH)
+    ]
+    least_px = PHOTO_PX + config.photography.margin
+    scenes = load_scenes(
+        data.photos, held_out=data.held_out, least_px=least_px, device=str(device)
+    )
+    # other motions and other photos than those of the training
+    seeds = (seed, seed_of(seed, VALIDATION_SEED))
+    banks = [
+        build_bank(config.motions, count=n, seed=bank_seed, workers=workers).to(device)
+        for n, bank_seed in zip((data.motions, data.validation), seeds, strict=True)
+    ]
+    training, validation_source = (
+        LiveSource(bank, photos, config.photography, seed=source_seed, **inputs)
+        for bank, photos, source_seed in zip(banks, scenes, (seed, VALIDATION_SEED), strict=True)
+    )
+    return Sources(training, tuple(validation_source.batch(i, n) for i, n in enumerate(sizes)))
+
+
+def _shards(entry: str, folder: str) -> Samples:
+    """Read prepared samples; errors name the entry of the run's file."""
+    try:
+        return read_shards(folder)
+    except ValueError as error:
+        raise ValueError(f"data.{entry}: {error}") from None
+
+
+def _check_channels(config: TrainingConfig, kernels: int) -> None:
+    maps = 2 + 2 * kernels
+    channels = config.network.physics_channels
+    if channels not in (0, maps):
+        raise ValueError(
+            f"network.physics_channels: must be {maps}, as many as there are physics maps, got"
+            f" {channels}"
+        )
 
 
 def seed_of(*numbers: int) -> int:

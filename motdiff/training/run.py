@@ -17,31 +17,15 @@ import torch
 from numpy.typing import NDArray
 
 from motdiff.metrics import mnc
-from motdiff.network.condition import PHOTO_PX
-from motdiff.network.physics_maps import QUICK_STARTS
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.training.config import TrainingConfig
-from motdiff.training.data import Batch, BatchSource, LiveSource, PreparedSource, seed_of
+from motdiff.training.data import VALIDATION_SEED, Batch, make_sources
 from motdiff.training.log import RunLog
 from motdiff.training.loop import Trainer
-from motdiff.training.motion_bank import build_bank
-from motdiff.training.photos import load_scenes
-from motdiff.training.prepared import read_shards
-from motdiff.training.samples import Samples
 
-_VALIDATION_SEED = 7  # any, but the same: runs are compared on the same draws
-_VALIDATION_BATCH = 32
 _SAMPLING_STEPS = 10
 _TRIAL_PHOTOS = 2  # timed, to predict how long a validation takes
 _SLACK_S = 5.0  # of a last validation beyond the minutes of a piece: its time is an estimate
-
-
-@dataclass(frozen=True)
-class Sources:
-    """Training batches, and fixed validation batches of other photos and motions."""
-
-    training: BatchSource
-    validation: tuple[Batch, ...]
 
 
 @dataclass(frozen=True)
@@ -96,63 +80,6 @@ def device_named(option: str) -> str:
     return name
 
 
-def make_sources(
-    config: TrainingConfig, *, device: torch.device | str = "cpu", workers: int = 1
-) -> Sources:
-    """Read or simulate the samples of the run.
-
-    Parameters
-    ----------
-    device : torch.device or str
-        Where photos are simulated.
-    workers : int
-        Processes that draw the bank of motions.
-
-    Raises
-    ------
-    ValueError
-        If the network takes another number of physics maps than there are, or there are too few
-        photos.
-    """
-    data = config.data
-    seed = config.optimiser.seed
-    inputs = {
-        "photo": config.network.backbone != "none",
-        "physics": config.network.physics_channels > 0,
-    }
-    if data.prepared:
-        samples = _shards("prepared", data.prepared)
-        _check_channels(config, samples.kernels.shape[1])
-        held_out = _shards("prepared_validation", data.prepared_validation)
-        validation = PreparedSource(held_out, seed=_VALIDATION_SEED, symmetries=False, **inputs)
-        count = min(data.validation, len(validation))
-        batches = validation.batch(0, count).split(_VALIDATION_BATCH)
-        return Sources(
-            PreparedSource(samples, seed=seed, **inputs),
-            tuple(batch.to(device) for batch in batches),
-        )
-    _check_channels(config, len(QUICK_STARTS))
-    sizes = [
-        min(_VALIDATION_BATCH, data.validation - first)
-        for first in range(0, data.validation, _VALIDATION_BATCH)
-    ]
-    least_px = PHOTO_PX + config.photography.margin
-    scenes = load_scenes(
-        data.photos, held_out=data.held_out, least_px=least_px, device=str(device)
-    )
-    # other motions and other photos than those of the training
-    seeds = (seed, seed_of(seed, _VALIDATION_SEED))
-    banks = [
-        build_bank(config.motions, count=n, seed=bank_seed, workers=workers).to(device)
-        for n, bank_seed in zip((data.motions, data.validation), seeds, strict=True)
-    ]
-    training, validation_source = (
-        LiveSource(bank, photos, config.photography, seed=source_seed, **inputs)
-        for bank, photos, source_seed in zip(banks, scenes, (seed, _VALIDATION_SEED), strict=True)
-    )
-    return Sources(training, tuple(validation_source.batch(i, n) for i, n in enumerate(sizes)))
-
-
 def train(
     config: TrainingConfig,
     folder: Path | str,
@@ -185,59 +112,31 @@ def train(
     pace = pace or Pace()
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
-    distributed = int(os.environ.get("WORLD_SIZE", "1")) > 1
-    if distributed:
-        # nccl has no operations on the CPU
-        backends = {"cuda": "nccl"}
-        torch.distributed.init_process_group(backends.get(torch.device(device).type, "gloo"))
-    try:
+    with _process_group(device):
         trainer = trainer_type(config, device=device)
         resumed = trainer.resume(target / "checkpoint")
         log = RunLog(target, steps=config.optimiser.steps, enabled=trainer.leads)
         opening = "resumed at" if resumed else "new run, from"
         log.say(f"{opening} step {trainer.step} of {config.optimiser.steps}")
         sources = make_sources(config, device=device, workers=workers)
-
-        validated_s = time.monotonic()
-
-        def due() -> bool:
-            return (
-                trainer.step % pace.validate_steps == 0 or trainer.step == config.optimiser.steps
-            )
-
-        def validate() -> None:
-            nonlocal validated_s
-            log.validated(
-                trainer.step, validation_mnc(trainer, sources.validation), loss=trainer.loss
-            )
-            validated_s = time.monotonic()
-
-        def overdue() -> bool:
-            return time.monotonic() - validated_s >= 60 * pace.validate_minutes
-
-        validated = log.resume(trainer.step, between=not due())
-        timed = trainer.leads and math.isfinite(pace.minutes)
-        validation_s = 0.0
-        if timed:
-            validation_s = _validation_time_s(trainer, sources.validation)
+        validation = _Validation(trainer, sources.validation, log, pace)
         end_s = updates_end_s = start_s + 60 * pace.minutes
-        if validation_s <= 0.5 * 60 * pace.minutes:
-            updates_end_s -= validation_s
-        # a second of them raises KeyboardInterrupt at once
+        if validation.takes_s <= 0.5 * 60 * pace.minutes:
+            updates_end_s -= validation.takes_s
         with _stop_signals() as stop_requested:
             while trainer.step < config.optimiser.steps:
-                if trainer.leads and trainer.step and (due() or overdue()) and not validated:
-                    validate()
+                if trainer.leads and trainer.step and validation.due and not validation.done:
+                    validation.run()
                 update_s = time.monotonic()
                 losses = trainer.update(sources.training)
-                validated = False
+                validation.done = False
                 now_s = time.monotonic()
                 log.step(
                     trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds
                 )
                 next_end_s = now_s + (now_s - update_s)
-                if due() or overdue():
-                    next_end_s += validation_s
+                if validation.due:
+                    next_end_s += validation.takes_s
                 if _any_process(
                     stop_requested() or next_end_s > updates_end_s, device=trainer.device
                 ):
@@ -246,21 +145,67 @@ def train(
                     trainer.save(target / "checkpoint")
                     saved_s = time.monotonic()
         trainer.save(target / "checkpoint")
-        if trainer.leads and not validated:
-            finished = trainer.step == config.optimiser.steps
-            if finished or time.monotonic() + validation_s <= end_s + _SLACK_S:
-                validate()
-            else:
-                log.say(
-                    f"step {trainer.step}: not validated, which takes about"
-                    f" {validation_s / 60:.1f} min"
-                )
         if trainer.leads:
+            if not validation.done:
+                validation.run_last(end_s)
             log.close()
-    finally:
-        if distributed:
-            torch.distributed.destroy_process_group()
     return trainer
+
+
+class _Validation:
+    """Validations of a piece of a run.
+
+    Attributes
+    ----------
+    takes_s : float, seconds
+        Predicted where the piece has a limit of time, else 0.
+    done : bool
+        Whether the weights as they are have been validated.
+    """
+
+    def __init__(
+        self, trainer: Trainer, batches: tuple[Batch, ...], log: RunLog, pace: Pace
+    ) -> None:
+        self._trainer = trainer
+        self._batches = batches
+        self._log = log
+        self._pace = pace
+        self._last_s = time.monotonic()
+        self.done = log.resume(trainer.step, between=not self._has_its_step)
+        self.takes_s = 0.0
+        if trainer.leads and math.isfinite(pace.minutes):
+            self.takes_s = _validation_time_s(trainer, batches)
+
+    @property
+    def due(self) -> bool:
+        """Whether the step, or the time since the last one, calls for a validation."""
+        overdue = time.monotonic() - self._last_s >= 60 * self._pace.validate_minutes
+        return self._has_its_step or overdue
+
+    @property
+    def _has_its_step(self) -> bool:
+        step = self._trainer.step
+        return step % self._pace.validate_steps == 0 or self._finished
+
+    @property
+    def _finished(self) -> bool:
+        return self._trainer.step == self._trainer.config.optimiser.steps
+
+    def run(self) -> None:
+        """Validate, and log the score."""
+        score = validation_mnc(self._trainer, self._batches)
+        self._log.validated(self._trainer.step, score, loss=self._trainer.loss)
+        self._last_s = time.monotonic()
+
+    def run_last(self, end_s: float) -> None:
+        """Validate at the end of a piece, unless that would take too long."""
+        if self._finished or time.monotonic() + self.takes_s <= end_s + _SLACK_S:
+            self.run()
+        else:
+            self._log.say(
+                f"step {self._trainer.step}: not validated, which takes about"
+                f" {self.takes_s / 60:.1f} min"
+            )
 
 
 def _validation_time_s(trainer: Trainer, batches: tuple[Batch, ...]) -> float:
@@ -285,7 +230,7 @@ def validation_scores(trainer: Trainer, batches: tuple[Batch, ...]) -> NDArray[n
     The truth is the time-weighted HR map's own PSF.
     """
     scores: list[float] = []
-    generator = torch.Generator(trainer.device).manual_seed(_VALIDATION_SEED)
+    generator = torch.Generator(trainer.device).manual_seed(VALIDATION_SEED)
     with torch.no_grad():
         for batch in batches:
             psfs = trainer.draw_psfs(batch, steps=_SAMPLING_STEPS, generator=generator)
@@ -295,22 +240,19 @@ def validation_scores(trainer: Trainer, batches: tuple[Batch, ...]) -> NDArray[n
     return np.array(scores)
 
 
-def _shards(entry: str, folder: str) -> Samples:
-    """Read prepared samples; errors name the entry of the run's file."""
+@contextmanager
+def _process_group(device: str | torch.device) -> Iterator[None]:
+    """Join the processes that torchrun started, where there are several."""
+    if int(os.environ.get("WORLD_SIZE", "1")) == 1:
+        yield
+        return
+    # nccl has no operations on the CPU
+    backend = "nccl" if torch.device(device).type == "cuda" else "gloo"
+    torch.distributed.init_process_group(backend)
     try:
-        return read_shards(folder)
-    except ValueError as error:
-        raise ValueError(f"data.{entry}: {error}") from None
-
-
-def _check_channels(config: TrainingConfig, kernels: int) -> None:
-    maps = 2 + 2 * kernels
-    channels = config.network.physics_channels
-    if channels not in (0, maps):
-        raise ValueError(
-            f"network.physics_channels: must be {maps}, as many as there are physics maps, got"
-            f" {channels}"
-        )
+        yield
+    finally:
+        torch.distributed.destroy_process_group()
 
 
 def _any_process(stop: bool, *, device: torch.device) -> bool:
@@ -324,7 +266,10 @@ def _any_process(stop: bool, *, device: torch.device) -> bool:
 
 @contextmanager
 def _stop_signals() -> Iterator[Callable[[], bool]]:
-    """Hold back the first SIGINT or SIGTERM, so that the step is finished and the state saved."""
+    """Hold back the first SIGINT or SIGTERM, so that the step is finished and the state saved.
+
+    A second one raises KeyboardInterrupt at once.
+    """
     received: list[int] = []
 
     def note(number: int, _frame: FrameType | None) -> None:

@@ -26,12 +26,12 @@ from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module
 from motdiff.training.checkpoint import read_checkpoint
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
-from motdiff.training.data import LiveSource, PreparedSource
+from motdiff.training.data import LiveSource, PreparedSource, Sources, make_sources
 from motdiff.training.log import read_log
 from motdiff.training.loop import Losses, Trainer
 from motdiff.training.motion_bank import MotionMix
 from motdiff.training.prepared import Source, prepare, read_shards
-from motdiff.training.run import Pace, Sources, make_sources, train, validation_mnc
+from motdiff.training.run import Pace, train, validation_mnc
 from motdiff.training.simulation import Photography
 
 ROOT = Path(__file__).resolve().parents[3]
