@@ -14,7 +14,9 @@ from cep.search.exhaustive.scan import (
     BYTES,
     INNER,
     SHIFT,
+    CellTables,
     ChipGroup,
+    CodeBlocks,
     all_patterns,
     dot,
     fill_cells,
@@ -137,34 +139,38 @@ class Scanner:
         seen_back = seen_back[order]
         middle = patterns[1][keep[1]]
         middle = middle[np.argsort(middle.sum(axis=1), kind="stable")]
-        self.near_at = np.searchsorted(middle.sum(axis=1), np.arange(near_chips + 2)).astype(
-            np.int64
-        )
-        self.head = self._group(front, int(places[0]), tables.corner)
-        self.near = self._group(middle, int(places[1]))
-        self.tail = self._group(back, int(places[3]))
+        near_open_chips = middle.sum(axis=1)
         # of a pair of mirror images, the one whose tail does not come after its head; ties go both
         # ways
-        self.tails = np.full(len(front), len(back), dtype=np.int64)
+        tails = np.full(len(front), len(back), dtype=np.int64)
         if ends_open and mirrors:
-            self.tails[:] = np.searchsorted(seen_back, seen_front, side="right")
+            tails[:] = np.searchsorted(seen_back, seen_front, side="right")
         inner = patterns[2]
-        self.inner_bits = _bits(inner, tables.inner_at)
         outside = np.arange(8 * BYTES + 1)[:, None] + inner.sum(axis=1)
         fits_light = keep[2] & (outside >= limits.low) & (outside <= limits.high)
-        self.inner_left = np.packbits(fits_light, axis=1, bitorder="little").view(np.uint64)
-        self.inner_count = fits_light.sum(axis=1).astype(np.int64)
+        self.blocks = CodeBlocks(
+            head=self._group(front, int(places[0]), tables.corner),
+            near=self._group(middle, int(places[1])),
+            tail=self._group(back, int(places[3])),
+            tails=tails,
+            near_at=np.searchsorted(near_open_chips, np.arange(near_chips + 2)).astype(np.int64),
+            inner_bits=_bits(inner, tables.inner_at),
+            inner_left=np.packbits(fits_light, axis=1, bitorder="little").view(np.uint64),
+            inner_count=fits_light.sum(axis=1).astype(np.int64),
+        )
 
     def spans(self, codes: int) -> Iterator[tuple[int, int]]:
         """Ranges of heads of about so many codes."""
-        heads = codes >> (INNER + self.near_at.size - 2)
-        chunk = np.cumsum(self.tails) // max(heads, 1)
+        heads = codes >> (INNER + self.blocks.near_at.size - 2)
+        chunk = np.cumsum(self.blocks.tails) // max(heads, 1)
         edges = [0, *(np.flatnonzero(np.diff(chunk)) + 1).tolist(), chunk.size]
         yield from pairwise(edges)
 
     def buffer(self) -> NDArray[np.uint64]:
         """Buffer for the survivors of a call of :meth:`run`: twice what one pair may leave."""
-        return np.zeros(2 * self.near.bits.size * self.inner_bits.size, dtype=np.uint64)
+        return np.zeros(
+            2 * self.blocks.near.bits.size * self.blocks.inner_bits.size, dtype=np.uint64
+        )
 
     def run(
         self,
@@ -175,26 +181,10 @@ class Scanner:
     ) -> NDArray[np.uint64]:
         """Scan from ``span[0]``, ``span[2]`` on; returns the survivors."""
         tables = self.tables
-        number = scan(
-            self.head,
-            self.tail,
-            self.near,
-            self.tails,
-            self.near_at,
-            tables.first_cell,
-            tables.cells,
-            tables.grid,
-            self.inner_bits,
-            self.inner_left,
-            self.inner_count,
-            tables.limits,
-            tables.dense,
-            tables.limit2,
-            span,
-            buffer,
-            scanned,
-            halt,
+        cells = CellTables(
+            tables.first_cell, tables.cells, tables.grid, tables.dense, tables.limit2
         )
+        number = scan(self.blocks, cells, tables.limits, span, buffer, scanned, halt)
         return buffer[:number].copy()
 
     def _group(

@@ -51,6 +51,57 @@ class ChipGroup(NamedTuple):
     pulses: Counts
 
 
+class CodeBlocks(NamedTuple):
+    """Codes of one length, as all that its parts can be joined to.
+
+    Attributes
+    ----------
+    head, near, tail : ChipGroup
+        Far chips at the start and the end, and near chips, the latter sorted by their open chips.
+    tails : (R,) int64
+        How many of the first rows of ``tail`` go with each head.
+    near_at : (N,) int64
+        First row of ``near`` with as many open chips, and one entry beyond.
+    inner_bits : (1024,) uint64
+        Open chips of the inner patterns.
+    inner_left : (49, 16) uint64
+        Inner patterns that keep the limits, by the number of open chips outside the block.
+    inner_count : (49,) int64
+        Their number.
+    """
+
+    head: ChipGroup
+    near: ChipGroup
+    tail: ChipGroup
+    tails: Counts
+    near_at: Counts
+    inner_bits: Bits
+    inner_left: Bits
+    inner_count: Counts
+
+
+class CellTables(NamedTuple):
+    """Tables of a limit on |H|.
+
+    Attributes
+    ----------
+    first_cell : (F,) int32
+        First row of each frequency in ``cells``; F is a multiple of eight.
+    cells, grid
+        From :func:`fill_cells`.
+    dense : float32
+        From :func:`sums_by_byte`.
+    limit2 : float32
+        Smallest |H|^2 of interest there, less rounding errors.
+    """
+
+    first_cell: Ints
+    cells: Bits
+    grid: int
+    dense: NDArray[np.float32]
+    limit2: np.float32
+
+
 def all_patterns(chips: int) -> NDArray[np.int8]:
     """All patterns of some chips, (2^chips, chips), the first chip changing fastest."""
     return ((np.arange(2**chips)[:, None] >> np.arange(chips)) & 1).astype(np.int8)
@@ -165,20 +216,9 @@ def _reaches(code: np.uint64, dense: NDArray[np.float32], limit2: np.float32) ->
 
 @compiled
 def scan(
-    head: ChipGroup,
-    tail: ChipGroup,
-    middle: ChipGroup,
-    tails: Counts,
-    near_at: Counts,
-    first_cell: Ints,
-    cells: Bits,
-    grid: int,
-    inner_bits: Bits,
-    inner_left: Bits,
-    inner_count: Counts,
+    blocks: CodeBlocks,
+    tables: CellTables,
     limits: Limits,
-    dense: NDArray[np.float32],
-    limit2: np.float32,
     span: Counts,
     survivors: Bits,
     scanned: Counts,
@@ -188,27 +228,9 @@ def scan(
 
     Parameters
     ----------
-    head, tail, middle : ChipGroup
-        Far chips at the start and the end, and near chips, the latter sorted by their open chips.
-    tails : (R,) int64
-        How many of the first rows of ``tail`` go with each head.
-    near_at : (N,) int64
-        First row of ``near`` with as many open chips, and one entry beyond.
-    first_cell : (F,) int32
-        First row of each frequency in ``cells``; F is a multiple of eight.
-    cells, grid
-        From :func:`fill_cells`.
-    inner_bits : (1024,) uint64
-        Open chips of the inner patterns.
-    inner_left : (49, 16) uint64
-        Inner patterns that keep the limits, by the number of open chips outside the block.
-    inner_count : (49,) int64
-        Their number.
+    blocks : CodeBlocks
+    tables : CellTables
     limits : Limits
-    dense : float32
-        From :func:`sums_by_byte`.
-    limit2 : float32
-        Smallest |H|^2 of interest there, less rounding errors.
     span : (3,) int64
         First head, end of heads, first tail of the first head. Its first and last are moved to
         where the scan stopped: at the end, where ``survivors`` may not hold the next block, or at
@@ -220,6 +242,15 @@ def scan(
     halt : (1,) bool
         Set from another thread to stop.
     """
+    head = blocks.head
+    tail = blocks.tail
+    tails = blocks.tails
+    near_at = blocks.near_at
+    inner_bits = blocks.inner_bits
+    inner_left = blocks.inner_left
+    inner_count = blocks.inner_count
+    first_cell = tables.first_cell
+    cells = tables.cells
     rows = np.zeros(first_cell.size, np.uint32)
     # in fixed point, where a shift finds the cell, and a sum of parts has no rounding of its own
     outer_sums = np.zeros(2 * first_cell.size, np.int32)
@@ -227,14 +258,14 @@ def scan(
     chips = np.zeros(limits.chips, np.int8)
     words = alive.size
     frequencies = first_cell.size
-    side = np.int32(grid)
-    top = np.int32(grid - 1)
+    side = np.int32(tables.grid)
+    top = np.int32(tables.grid - 1)
     zero = np.int32(0)
     number = 0
-    room = survivors.size - middle.bits.size * inner_bits.size
-    near_sums = middle.sums
-    near_open_chips = middle.open_chips
-    near_bits = middle.bits
+    near_sums = blocks.near.sums
+    near_open_chips = blocks.near.open_chips
+    near_bits = blocks.near.bits
+    room = survivors.size - near_bits.size * inner_bits.size
     most_near = near_at.size - 2
     start = span[2]
     for i in range(span[0], span[1]):
@@ -308,7 +339,7 @@ def scan(
                                 chips[chip] = (code >> np.uint64(chip)) & np.uint64(1)
                             if not keeps_runs(chips, limits):
                                 continue
-                        if _reaches(code, dense, limit2):
+                        if _reaches(code, tables.dense, tables.limit2):
                             survivors[number] = code
                             number += 1
         start = 0
