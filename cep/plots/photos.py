@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -36,6 +36,8 @@ def before_after(
     detail_of : array_like, optional
         Image whose most structured window is the detail; the last one when omitted.
     """
+    from matplotlib.patches import Rectangle
+
     pictures = {
         title: np.clip(np.asarray(image, dtype=np.float64), 0, 1)
         for title, image in images.items()
@@ -56,17 +58,12 @@ def before_after(
         top.set_title(plot_text(title))
         scale = small.shape[1] / width
         corner = (column * scale, row * scale)
-        top.add_patch(_frame(corner, side * scale))
+        frame = Rectangle(
+            corner, side * scale, side * scale, fill=False, edgecolor=COLOURS[4], linewidth=1.4
+        )
+        top.add_patch(frame)
         show_photo(bottom, cut[row : row + side, column : column + side])
     return figure
-
-
-def _frame(corner: Sequence[float], side: float) -> Any:
-    from matplotlib.patches import Rectangle
-
-    return Rectangle(
-        (corner[0], corner[1]), side, side, fill=False, edgecolor=COLOURS[4], linewidth=1.4
-    )
 
 
 def busiest(image: FloatArray, side: int) -> tuple[int, int]:

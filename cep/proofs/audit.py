@@ -227,12 +227,15 @@ def audit(
     # first, so that a function that fails does so before the long work
     own_values = own_figures(figures or {}, motion, code)
     metrics = measure_worst(motion, code, camera=camera, scene=scene)
-    along: Trajectory | None = motion
-    if metrics.min_chip is not None:
-        along = None  # a uniform straight motion: the polynomial alone decides
     progress(0.1, "proving the minimum")
+    along: Trajectory | None = None
+    if metrics.min_chip is not None:  # a uniform straight motion: the polynomial alone decides
+        zeros = {"both": zeros_of_code(code.bits)}
+    else:
+        along = motion
+        paths = paths_by_direction(motion)
+        zeros = {direction: zeros_along(path, code) for direction, path in paths.items()}
     certificate = certify(code, along)
-    zeros = zeros_by_direction(code, along)
     metrics = with_proven_zero(code, along, metrics)
     grids = grid_claims(code, along, certificate.upper)
     progress(0.5, "looking at neighbours")
@@ -248,14 +251,6 @@ def _dc(code: ShutterCode, trajectory: Trajectory | None) -> float:
     if trajectory is None:
         return code.open_chips
     return code.duty
-
-
-def zeros_by_direction(code: ShutterCode, trajectory: Trajectory | None) -> dict[str, Zeros]:
-    """List the true zeros of each direction that counts; "both" where they are the same."""
-    if trajectory is None:
-        return {"both": zeros_of_code(code.bits)}
-    paths = paths_by_direction(trajectory)
-    return {direction: zeros_along(path, code) for direction, path in paths.items()}
 
 
 def grid_claims(

@@ -13,10 +13,12 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib import resources
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+import cep
 from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
 from cep.files.code_files import StoredCode, write_code
 from cep.files.formatting import duration, number
@@ -42,14 +44,12 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
-    import cep
     from cep.report.chain import Chain, Shot
     from cep.search.advise import Advice
 
 # pictures of the page that are files as well; the code strip where a code is advised
 PICTURE_FILES = ("advice", "code_strip", "mtf", "photos", "scene_at_rest")
 DEMO_SCHEMA = "cep.demo/1"
-_PHOTOS = {"blurred.png": "open", "coded.png": "coded"}
 _SET = ("calibration_2.png", "calibration_3.png", "calibration_4.png")
 _RESTORED = {
     "restored_open.png": "open",
@@ -67,7 +67,8 @@ DEMO_FILES = (
     "demo.json",
     "code.json",
     *(f"{name}.png" for name in PICTURE_FILES),
-    *_PHOTOS,
+    "blurred.png",
+    "coded.png",
     *_SET,
     *_RESTORED,
     *_PROGRAMS,
@@ -260,7 +261,7 @@ def html(chain: Chain, png: Mapping[str, bytes] | None = None, *, options: str =
         (resources.files("cep.report") / "templates" / name).read_text(encoding="utf-8")
         for name in ("demo.html.j2", "compare.js")
     )
-    versions = [f"{package} {_version(package)}" for package in ("coded-exposure", "numpy")]
+    versions = [f"coded-exposure {cep.__version__}", f"numpy {np.__version__}"]
     uris = {
         name: "data:image/png;base64," + base64.b64encode(data).decode("ascii")
         for name, data in (png or pictures(chain)).items()
@@ -370,10 +371,3 @@ def _open_time(code: cep.ShutterCode) -> str:
 def _cell(value: object) -> str:
     text = number(value) if isinstance(value, float) else str(value)
     return text.replace("-", "−") if text[:1] in "+-" else text  # as wide as a plus
-
-
-def _version(distribution: str) -> str:
-    try:
-        return version(distribution)
-    except PackageNotFoundError:  # run from the source tree
-        return "(not installed)"

@@ -230,7 +230,7 @@ def _proven_outcome(
         counted,
         "proven" if proven.proven else "interrupted",
         tuple(rivals),
-        proven.proof.to_dict(),
+        asdict(proven.proof),
     )
 
 

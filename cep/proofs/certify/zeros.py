@@ -111,9 +111,8 @@ def zeros_of_code(bits: str) -> Zeros:
     cofactor = circle_rest(chips)
     if cofactor is not None:
         changes, complete = sign_changes(cofactor)
-        factor = tuple(int(value) for value in cofactor)
-        zeros += [Zero((c.at,), "sign change", c.radius, factor=factor) for c in changes]
-    return _sorted(zeros, complete)
+        zeros += changes
+    return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete)
 
 
 def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_000) -> Zeros:
@@ -159,7 +158,7 @@ def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_
         zeros = _joined(zeros, [zero for zero, place in proven if place])
         half = half / 2
         cells = (cells[~settled][:, None] + half * corners).reshape(-1, 2)
-    return _sorted(zeros, complete)
+    return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete)
 
 
 def kantorovich(pieces: Pieces, point: FloatArray) -> Zero | None:
@@ -239,10 +238,6 @@ def _same(a: Zero, b: Zero) -> bool:
     return bool(apart < max(a.alone_within, b.alone_within))
 
 
-def _sorted(zeros: list[Zero], complete: bool) -> Zeros:
-    return Zeros(tuple(sorted(zeros, key=lambda zero: zero.at)), complete)
-
-
 def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
     """|H| is |sinc(s) P(s)| / n along the axis, s in cycles per chip."""
     axis = straight_axis(trajectory)
@@ -266,14 +261,6 @@ def _straight_zeros(trajectory: Trajectory, code: ShutterCode) -> Zeros:
 
 
 # -- zeros on the unit circle, in integer arithmetic ----------------------------------------------
-
-
-@dataclass(frozen=True)
-class SignChange:
-    """A frequency, cycles per chip, within whose ``radius`` a real function changes sign."""
-
-    at: float
-    radius: float
 
 
 def vanishing_orders(coefficients: IntArray) -> tuple[int, ...]:
@@ -381,7 +368,7 @@ def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatAr
     return np.sin(phase) @ weights, 2 * np.pi * np.cos(phase) @ (weights * middle), slack
 
 
-def sign_changes(factor: IntArray) -> tuple[tuple[SignChange, ...], bool]:
+def sign_changes(factor: IntArray) -> tuple[tuple[Zero, ...], bool]:
     """All changes of sign of a self-reciprocal factor, and whether these are all its zeros.
 
     On every cell of 0..1/2 cycles per chip the function either keeps away from zero or is
@@ -414,7 +401,7 @@ def sign_changes(factor: IntArray) -> tuple[tuple[SignChange, ...], bool]:
     return proven, not centres.size and len(proven) == len(changes)
 
 
-def _bisected(factor: IntArray, low: float, high: float) -> SignChange | None:
+def _bisected(factor: IntArray, low: float, high: float) -> Zero | None:
     """Halve an interval 60 times, to the last digit, then widen it until both signs are sure."""
     rising = real_form(factor, np.array([high]))[0][0] > 0
     for _ in range(60):
@@ -428,7 +415,7 @@ def _bisected(factor: IntArray, low: float, high: float) -> SignChange | None:
     while radius < 1e-3:
         edges, _, slack = real_form(factor, np.array([at - radius, at + radius]))
         if abs(edges[0]) > slack and abs(edges[1]) > slack and (edges[0] > 0) != (edges[1] > 0):
-            return SignChange(at, radius)
+            return Zero((at,), "sign change", radius, factor=tuple(factor.tolist()))
         radius *= 2
     return None
 

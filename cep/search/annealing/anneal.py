@@ -186,7 +186,9 @@ def anneal(
         return budget.elapsed() < time_s
 
     try:
-        if _movable(problem, elites.ranked()[0]):
+        low, high = problem.open_limits
+        # a chip may change alone where the light may, else against another
+        if low < high or np.unique(elites.ranked()[0]).size == 2:
             chains_of_round = _chains(coarse, judge, elites, rng)
             # the samples of a class of motions may take longer than the whole limit
             budget.start_s = time.monotonic()
@@ -230,12 +232,6 @@ def hottest_db(problem: SearchProblem) -> float:
     hot = sum(weight * criterion.hot_db for criterion, weight in problem.criteria)
     # the more chips, the less a move changes
     return float(hot * min(_HOTTEST, (_HOT_CHIPS / problem.chips) ** 1.5))
-
-
-def _movable(problem: SearchProblem, code: Codes) -> bool:
-    """Whether any chip may change: alone, where the light may, or against another."""
-    low, high = problem.open_limits
-    return low < high or np.unique(code).size == 2
 
 
 def _chains(

@@ -150,7 +150,7 @@ class Scanner:
         fits_light = keep[2] & (outside >= limits.low) & (outside <= limits.high)
         self.blocks = CodeBlocks(
             head=self._group(front, int(places[0]), tables.corner),
-            near=self._group(middle, int(places[1])),
+            middle=self._group(middle, int(places[1])),
             tail=self._group(back, int(places[3])),
             tails=tails,
             near_at=np.searchsorted(near_open_chips, np.arange(near_chips + 2)).astype(np.int64),
@@ -169,7 +169,7 @@ class Scanner:
     def buffer(self) -> NDArray[np.uint64]:
         """Buffer for the survivors of a call of :meth:`run`: twice what one pair may leave."""
         return np.zeros(
-            2 * self.blocks.near.bits.size * self.blocks.inner_bits.size, dtype=np.uint64
+            2 * self.blocks.middle.bits.size * self.blocks.inner_bits.size, dtype=np.uint64
         )
 
     def run(

@@ -22,7 +22,6 @@ from dataclasses import asdict, dataclass, replace
 from importlib.metadata import version
 from os import cpu_count
 from threading import Lock
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,10 +112,6 @@ class ProofLog:
         """Whether every code was accounted for."""
         return all(entry.complete for entry in self.lengths)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Fields for JSON."""
-        return asdict(self)
-
 
 @dataclass(frozen=True, kw_only=True)
 class BundledLog:
@@ -146,10 +141,6 @@ class BundledLog:
     lower: float
     upper: float
     judged: int = 0
-
-    def to_dict(self) -> dict[str, Any]:
-        """Fields for JSON."""
-        return asdict(self)
 
 
 @dataclass(frozen=True)

@@ -56,12 +56,12 @@ class CodeBlocks(NamedTuple):
 
     Attributes
     ----------
-    head, near, tail : ChipGroup
+    head, middle, tail : ChipGroup
         Far chips at the start and the end, and near chips, the latter sorted by their open chips.
     tails : (R,) int64
         How many of the first rows of ``tail`` go with each head.
     near_at : (N,) int64
-        First row of ``near`` with as many open chips, and one entry beyond.
+        First row of ``middle`` with as many open chips, and one entry beyond.
     inner_bits : (1024,) uint64
         Open chips of the inner patterns.
     inner_left : (49, 16) uint64
@@ -71,7 +71,7 @@ class CodeBlocks(NamedTuple):
     """
 
     head: ChipGroup
-    near: ChipGroup
+    middle: ChipGroup
     tail: ChipGroup
     tails: Counts
     near_at: Counts
@@ -262,9 +262,9 @@ def scan(
     top = np.int32(tables.grid - 1)
     zero = np.int32(0)
     number = 0
-    near_sums = blocks.near.sums
-    near_open_chips = blocks.near.open_chips
-    near_bits = blocks.near.bits
+    near_sums = blocks.middle.sums
+    near_open_chips = blocks.middle.open_chips
+    near_bits = blocks.middle.bits
     room = survivors.size - near_bits.size * inner_bits.size
     most_near = near_at.size - 2
     start = span[2]

@@ -19,7 +19,6 @@ from cep.proofs.audit import (
     audit,
     better_neighbours,
     grid_claims,
-    zeros_by_direction,
 )
 from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import min_chip
@@ -132,9 +131,9 @@ def test_grids_along_a_path():
 
 def test_zeros_are_listed_by_direction():
     known = Trajectory(BENT.t, BENT.xy, "known")
-    assert set(zeros_by_direction(ShutterCode("1101"), None)) == {"both"}
-    assert set(zeros_by_direction(ShutterCode("1101"), known)) == {"forward"}
-    both = zeros_by_direction(ShutterCode("1101"), BENT)
+    assert set(audit(ShutterCode("1101"), flips=0).zeros) == {"both"}
+    assert set(audit(ShutterCode("1101"), known, flips=0).zeros) == {"forward"}
+    both = audit(ShutterCode("1101"), BENT, flips=0).zeros
     assert set(both) == {"forward", "backward"}
     at = np.array([zero.at for zero in both["backward"].found]).reshape(-1, 2)
     otf = coded_otf(BENT.reversed(), ShutterCode("1101"), at[:, 0], at[:, 1])
