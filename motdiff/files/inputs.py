@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import math
 import stat
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 JSON_BYTES = 16 * 2**20
 """Largest JSON file that is read: a path of 100,000 samples with an alternative. Parsed it may
@@ -89,6 +91,51 @@ def read_json(path: Path | str) -> Any:
 def read_toml(path: Path | str) -> dict[str, Any]:
     """Read a TOML file of at most :data:`TOML_BYTES`; raises as :func:`read_json`."""
     return _parsed(path, tomllib.loads, "TOML", most_bytes=TOML_BYTES)
+
+
+def typed_fields(values: Mapping[str, object], kind: type, *, where: str = "") -> dict[str, Any]:
+    """Values of a TOML table as those of a dataclass's fields; a whole number may be a float's.
+
+    Parameters
+    ----------
+    values : mapping
+    kind : type
+        A dataclass whose fields are bool, int, float, str, Literal of str, or tuples of these.
+    where : str
+        In front of an entry's name, in errors.
+
+    Raises
+    ------
+    ValueError
+        If an entry is not known, or of another type; the line begins with its name.
+    """
+    names = [declared.name for declared in fields(kind)]
+    types = get_type_hints(kind)
+    for name in values:
+        if name not in names:
+            raise ValueError(f"{where}{name}: is not known; known are {', '.join(names)}")
+    return {name: _typed(f"{where}{name}", item, types[name]) for name, item in values.items()}
+
+
+def _typed(name: str, value: object, kind: Any) -> object:
+    inner = get_args(kind)
+    if get_origin(kind) is tuple:
+        if isinstance(value, list) and inner[-1] is Ellipsis:
+            inner = inner[:1] * len(value)
+        if not isinstance(value, list) or len(value) != len(inner):
+            count = "" if inner[-1] is Ellipsis else f"{len(inner)} "
+            raise ValueError(f"{name}: must be a list of {count}numbers, got {value!r}")
+        return tuple(_typed(name, *pair) for pair in zip(value, inner, strict=True))
+    if get_origin(kind) is Literal:
+        kind = str  # which texts there are is said where they are checked
+    if kind is float and type(value) is int:
+        return float(value)
+    # exactly this type: to Python a bool is an int
+    if type(value) is not kind:
+        raise ValueError(f"{name}: must be of type {kind.__name__}, got {value!r}")
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError(f"{name}: must be a finite number, got {value!r}")
+    return value
 
 
 def _parsed(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
-from motdiff.files.inputs import one_line, read_toml
+from motdiff.files.inputs import one_line, read_toml, typed_fields
 from motdiff.network.config import NetworkConfig
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.motion_bank import MotionMix
@@ -179,14 +178,7 @@ class TrainingConfig:
             )
 
 
-_SECTIONS: dict[str, Any] = {
-    "data": DataConfig,
-    "motions": MotionMix,
-    "photography": Photography,
-    "network": NetworkConfig,
-    "loss": LossConfig,
-    "optimiser": OptimiserConfig,
-}
+_SECTIONS = get_type_hints(TrainingConfig)
 
 
 def _check(config: object, section: str, holds: bool, name: str, rule: str) -> None:
@@ -226,32 +218,9 @@ def _section(name: str, values: object) -> Any:
     kind = _SECTIONS[name]
     if not isinstance(values, dict):
         raise ValueError(f"{name}: must be a section, [{name}]")
-    # annotations are texts here, as "float" or "tuple[float, float]"
-    types = {item.name: str(item.type) for item in fields(kind)}
-    plain: dict[str, Any] = {}
-    for entry, value in values.items():
-        if entry not in types:
-            raise ValueError(f"{name}.{entry}: is not known; known are {', '.join(types)}")
-        plain[entry] = _typed(f"{name}.{entry}", value, types[entry])
+    plain = typed_fields(values, kind, where=f"{name}.")
     try:
         return kind(**plain)
     except ValueError as error:  # a class used outside of runs too does not name the section
         text = str(error)
         raise ValueError(text if text.startswith(name) else f"{name}.{text}") from error
-
-
-def _typed(name: str, value: object, kind: str) -> object:
-    """TOML's value as the field's type; a whole number may stand for a float."""
-    if kind == "float" and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if kind.startswith("tuple["):
-        kinds = kind.removeprefix("tuple[").removesuffix("]").split(", ")
-        if not isinstance(value, list) or len(value) != len(kinds):
-            raise ValueError(f"{name}: must be a list of {len(kinds)} numbers, got {value!r}")
-        return tuple(_typed(name, *pair) for pair in zip(value, kinds, strict=True))
-    # exactly this type: to Python a bool is an int
-    if type(value).__name__ != kind:
-        raise ValueError(f"{name}: must be of type {kind}, got {value!r}")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{name}: must be a finite number, got {value!r}")
-    return value

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from motdiff.files.inputs import one_line, read_toml
+from motdiff.files.inputs import one_line, read_toml, typed_fields
 from motdiff.gyro import GyroTrace
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.psf_frame import PSF_PX
@@ -194,19 +194,19 @@ class Protocol:
             raise ValueError(f"{path}: {one_line(error)}") from None
 
 
-_ENTRIES = {item.name: item for item in fields(Protocol) if item.name not in ("name", "motion")}
-_MOTION = {item.name: item for item in fields(Motions)}
-
-
 def _read(name: str, table: Mapping[str, Any], *, quick: bool) -> Protocol:
     entries = {key: value for key, value in table.items() if key not in ("motion", "quick")}
     for key in ("photos", "motions"):
         if key not in entries:
             raise ValueError(f"{key}: is missing")
-    motion = Motions(**_typed(_section(table, "motion"), _MOTION))
-    protocol = Protocol(name=name, motion=motion, **_typed(entries, _ENTRIES))
+    quick_entries = _section(table, "quick")
+    for table_entries in (entries, quick_entries):
+        if unknown := table_entries.keys() & {"name", "motion"}:
+            raise ValueError(f"{min(unknown)}: is not known here")
+    motion = Motions(**typed_fields(_section(table, "motion"), Motions))
+    protocol = Protocol(**typed_fields(entries, Protocol), name=name, motion=motion)
     # read even where it is not used: a mistake in it should not wait for the first quick run
-    smaller = replace(protocol, **_typed(_section(table, "quick"), _ENTRIES))
+    smaller = replace(protocol, **typed_fields(quick_entries, Protocol))
     return smaller if quick else protocol
 
 
@@ -215,30 +215,6 @@ def _section(table: Mapping[str, Any], name: str) -> Mapping[str, Any]:
     if not isinstance(section, Mapping):
         raise ValueError(f"{name}: must be a section, [{name}]")
     return section
-
-
-def _typed(values: Mapping[str, Any], types: Mapping[str, Any]) -> dict[str, Any]:
-    """Check entries against the types of the fields; whole numbers may stand for others."""
-    typed: dict[str, Any] = {}
-    for key, value in values.items():
-        if key not in types:
-            raise ValueError(f"{key}: is not known; known are {', '.join(types)}")
-        kind = str(types[key].type)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        numbers = isinstance(value, list) and all(type(item) in (int, float) for item in value)
-        if kind in ("int", "bool") and type(value).__name__ == kind:
-            typed[key] = value
-        elif kind == "float" and number:
-            typed[key] = float(value)
-        elif numbers and (
-            kind == "tuple[float, ...]" or (kind == "tuple[float, float]" and len(value) == 2)
-        ):
-            typed[key] = tuple(float(item) for item in value)
-        elif kind.startswith("Literal") and isinstance(value, str):
-            typed[key] = value
-        else:
-            raise ValueError(f"{key}: must be of the type {kind}, got {value!r}")
-    return typed
 
 
 _TRIES = 100
