@@ -20,11 +20,8 @@ VAGUE = frozenset(WORDS.split())
 
 MOST = {
     "cep/calibration": 1,
-    "cep/files": 3,
     "cep/proofs": 1,
-    "cep/restoration": 1,
     "cep/search": 6,
-    "cep/shutter": 1,
     "lab/bench": 4,
     "lab/block_proofs": 29,
     "lab/fronts": 1,

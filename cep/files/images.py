@@ -167,12 +167,12 @@ def read_detail(
     summed = cv2.boxFilter(
         detail, cv2.CV_64F, window, anchor=(0, 0), borderType=cv2.BORDER_CONSTANT
     )
-    top, left = (
+    row, column = (
         int(place * factor) for place in np.unravel_index(int(summed.argmax()), summed.shape)
     )
-    top = min(top, height - rows)
-    left = min(left, width - columns)
-    crop = linear(decoded[top : top + rows, left : left + columns])
+    row = min(row, height - rows)
+    column = min(column, width - columns)
+    crop = linear(decoded[row : row + rows, column : column + columns])
     return Photo(crop, _bits(decoded), warnings), small, (height, width)
 
 

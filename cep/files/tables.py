@@ -17,13 +17,13 @@ _WIDE = 16  # characters: columns of longer texts stand to the left, those of fi
 
 @dataclass(frozen=True)
 class Bold:
-    """A cell that begins with a bold text."""
+    """A cell: a bold text, then a plain one."""
 
     text: str
-    rest: str = ""
+    plain: str = ""
 
     def __str__(self) -> str:
-        return self.text + self.rest
+        return self.text + self.plain
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ def cell_text(value: object) -> str:
 def cell_parts(value: object) -> list[tuple[str, bool]]:
     """Split a cell into texts, and whether each is bold."""
     if isinstance(value, Bold):
-        return [(text, bold) for text, bold in ((value.text, True), (value.rest, False)) if text]
+        return [(text, bold) for text, bold in ((value.text, True), (value.plain, False)) if text]
     return [(cell_text(value), False)]
 
 

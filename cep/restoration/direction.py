@@ -135,8 +135,8 @@ def orders_in_time(trajectory: Trajectory) -> list[Trajectory]:
     >>> len(orders_in_time(Trajectory.from_samples([[0, 0], [8, 1], [12, 9]])))
     2
     """
-    others = orders(trajectory, knots=_ORDER_KNOTS, count=_MOST_ORDERS)[2:]
-    reordered = [Trajectory.from_samples(xy, direction=trajectory.direction) for xy in others]
+    loop_orders = orders(trajectory, knots=_ORDER_KNOTS, count=_MOST_ORDERS)[2:]
+    reordered = [Trajectory.from_samples(xy, direction=trajectory.direction) for xy in loop_orders]
     return [trajectory, trajectory.reversed(), *reordered]
 
 

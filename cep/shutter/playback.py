@@ -39,14 +39,14 @@ class Playback:
         The shutter's, in the recording.
     plays : tuple of Verification
         One or more.
-    others : tuple of str
+    rivals : tuple of str
         Signals with edges besides, where the shutter's was not named.
     """
 
     program: Program
     signal: str
     plays: tuple[Verification, ...]
-    others: tuple[str, ...] = ()
+    rivals: tuple[str, ...] = ()
 
     @property
     def wrong(self) -> dict[int, Verification]:
@@ -58,7 +58,7 @@ class Playback:
     def warnings(self) -> list[str]:
         """What was assumed of the recording, one sentence each."""
         short = sum(play.glitches for play in self.plays)
-        signals = ", ".join(self.others)
+        signals = ", ".join(self.rivals)
         most_edges = (
             f"{self.signal} is taken for the shutter's, with most edges; {signals} has some as"
             " well, --signal names the right one"
@@ -212,7 +212,7 @@ def read_playback(
         for rival in recording.traces
         if rival not in (trace, trigger_trace) and len(rival.edges) >= max(min_edges, 1)
     )
-    return replace(playback, others=tuple(rival.name for rival in rivals))
+    return replace(playback, rivals=tuple(rival.name for rival in rivals))
 
 
 def _psf_stem(output: Path) -> str:

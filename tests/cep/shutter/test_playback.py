@@ -87,7 +87,7 @@ def test_what_is_assumed_of_a_recording_is_said(tmp_path):
         assert [
             warning[: len(words)] for warning, words in zip(found.warnings, said, strict=True)
         ] == said
-        assert read_playback(file, PROGRAM, signal="D0").others == ()
+        assert read_playback(file, PROGRAM, signal="D0").rivals == ()
     file.write_text(rows(inverted).replace("0.000000000,0", "0.000000000,1"))
     assert read_playback(file, PROGRAM).warnings == ["D0 rests high: low is taken for open"]
 
