@@ -177,7 +177,7 @@ def bound(problem: SearchProblem) -> Bound:
     --------
     >>> limits = bound(SearchProblem.along(chips=16, open_range=(8, 8)))
     >>> print(f"no code has a minimum above {limits.min_chip:.3f} chips")
-    no code has a minimum above 2.000 chips
+    no code has a minimum above 1.311 chips
     """
     by_count = count_bounds(problem)
     # a code may have any of these numbers of open chips: what holds for all is the weakest bound
