@@ -136,7 +136,7 @@ def test_tables_of_the_benchmarks():
         for photo in ("p", "qq")
     }
     columns = [Column("gain", "gain, dB", "high")]
-    table = tabulate("t", figures, columns, rng=np.random.default_rng(0), row=0, cluster=(1, 2))
+    table = tabulate("t", figures, columns, rng=np.random.default_rng(0), cluster=(1, 2))
     about = Provenance(
         command="python -m lab bench",
         seed=0,

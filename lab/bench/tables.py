@@ -160,12 +160,11 @@ def tabulate(
     columns: Sequence[Column],
     *,
     rng: np.random.Generator,
-    row: int = 0,
     cluster: int | tuple[int, int] = 1,
     counted: Mapping[str, int] | None = None,
-    level: float = 0.95,
 ) -> Table:
-    """Sum up figures by one label of the cells' names; cells whose other labels agree are pairs.
+    """Sum up figures by the first label of the cells' names; cells whose other labels agree are
+    pairs.
 
     Parameters
     ----------
@@ -174,15 +173,11 @@ def tabulate(
     columns : sequence of Column
     rng : numpy.random.Generator
         Of the bootstrap.
-    row : int
-        Which label is the row.
     cluster : int or (int, int)
         Label that dependent cells share, such as the photo. Two labels where every photo has the
         same motions.
     counted : mapping from a heading to a label, optional
         How many different ones a row's cells have is shown, such as motions.
-    level : float
-        Of the intervals and tests.
 
     Raises
     ------
@@ -190,29 +185,25 @@ def tabulate(
         If a name has too few labels, or a column has a value that is no number.
     """
     shared = (cluster,) if isinstance(cluster, int) else cluster
-    if row in shared:
-        raise ValueError(f"cluster: must be another label than the row's, got {row} for both")
     for name in figures:
-        if not all(0 <= label < len(name) for label in (row, *shared)):
-            raise ValueError(
-                f"figures: labels {row} and {cluster} are wanted of every name, got {name}"
-            )
-    labels = list(dict.fromkeys(name[row] for name in figures))
+        if not all(0 < label < len(name) for label in shared):
+            raise ValueError(f"figures: label {cluster} is wanted of every name, got {name}")
+    labels = list(dict.fromkeys(name[0] for name in figures))
     cells_by_label: dict[str, list[Entry]] = {label: [] for label in labels}
     for column in columns:
-        by_row = {label: _values(figures, column.figure, row, label) for label in labels}
+        by_row = {label: _values(figures, column.figure, label) for label in labels}
         entries = {}
         for label, values in by_row.items():
             interval = None
             if values and column.middle == "mean" and all(map(math.isfinite, values.values())):
-                interval = _interval(values, shared, rng, level)
+                interval = _interval(values, shared, rng)
             entries[label] = Entry(summarized(values.values()), interval)
         if column.better is not None and column.middle == "mean":
-            entries |= _best(by_row, entries, column.better, shared, rng, level)
+            entries |= _best(by_row, entries, column.better, shared, rng)
         for label in labels:
             cells_by_label[label].append(entries[label])
     rows = {label: tuple(entries_) for label, entries_ in cells_by_label.items()}
-    cells = {label: [name for name in figures if name[row] == label] for label in labels}
+    cells = {label: [name for name in figures if name[0] == label] for label in labels}
     counts = {
         head: {label: len({name[place] for name in names}) for label, names in cells.items()}
         for head, place in (counted or {}).items()
@@ -222,9 +213,7 @@ def tabulate(
     )
 
 
-def differences(
-    figures: Figures, reference: str, *, row: int = 0
-) -> dict[Name, dict[str, Figure]]:
+def differences(figures: Figures, reference: str) -> dict[Name, dict[str, Figure]]:
     """Differences of the reference row from every row, pair by pair; a figure that one of them
     lacks is None.
 
@@ -233,20 +222,19 @@ def differences(
     figures : mapping from the names of cells
     reference : str
         Label of the row that the others are subtracted from.
-    row : int
 
     Raises
     ------
     ValueError
         If there is no such row.
     """
-    if reference not in (name[row] for name in figures):
+    if reference not in (name[0] for name in figures):
         raise ValueError(f"reference: must be one of the rows, got {reference!r}")
     gains: dict[Name, dict[str, Figure]] = {}
     for name, row_figures in figures.items():
-        if name[row] == reference:
+        if name[0] == reference:
             continue
-        reference_figures = figures.get((*name[:row], reference, *name[row + 1 :]), {})
+        reference_figures = figures.get((reference, *name[1:]), {})
         gains[name] = {
             key: _difference(reference_figures.get(key), figure)
             for key, figure in row_figures.items()
@@ -254,17 +242,17 @@ def differences(
     return gains
 
 
-def _values(figures: Figures, figure: str, row: int, label: str) -> dict[Name, float]:
+def _values(figures: Figures, figure: str, label: str) -> dict[Name, float]:
     """Return a row's values by the name without the row's label; those not measured are left
     out.
     """
     values = {}
     for name, row_figures in figures.items():
-        value = row_figures.get(figure) if name[row] == label else None
+        value = row_figures.get(figure) if name[0] == label else None
         if isinstance(value, str):
             raise ValueError(f"columns: {figure} is no number, got {value!r}")
         if value is not None and not math.isnan(value):
-            values[(*name[:row], "", *name[row + 1 :])] = float(value)
+            values["", *name[1:]] = float(value)
     return values
 
 
@@ -280,7 +268,6 @@ def _best(
     better: Literal["high", "low"],
     clusters: Sequence[int],
     rng: np.random.Generator,
-    level: float,
 ) -> dict[str, Entry]:
     """Return the best row's entry with its test against the runner-up, where there are both."""
     sign = 1 if better == "high" else -1
@@ -300,7 +287,6 @@ def _best(
         {name: sign * (by_row[best][name] - by_row[second][name]) for name in shared},
         clusters,
         rng,
-        level,
     )
     is_complete = len(shared) == len(by_row[second])
     entry = entries[best]
@@ -310,13 +296,13 @@ def _best(
 
 
 def _interval(
-    values: Mapping[Name, float], clusters: Sequence[int], rng: np.random.Generator, level: float
+    values: Mapping[Name, float], clusters: Sequence[int], rng: np.random.Generator
 ) -> Interval:
     labels = [[name[cluster] for name in values] for cluster in clusters]
     numbers = list(values.values())
     if len(labels) == 2:
-        return crossed_interval(numbers, *labels, level=level)
-    return mean_interval(numbers, rng=rng, clusters=labels[0], level=level)
+        return crossed_interval(numbers, *labels)
+    return mean_interval(numbers, rng=rng, clusters=labels[0])
 
 
 def _in_words(entry: Entry, column: Column, cells: int) -> str | Bold:

@@ -211,6 +211,4 @@ def _table(title: str, figures: Figures, columns: Sequence[Column], seed: int) -
         if any(cell.get(column.figure) is not None for cell in figures.values())
     ]
     # every photo has the same motions: cluster by both
-    return tabulate(
-        title, figures, used_columns, rng=np.random.default_rng(seed), row=0, cluster=(1, 2)
-    )
+    return tabulate(title, figures, used_columns, rng=np.random.default_rng(seed), cluster=(1, 2))

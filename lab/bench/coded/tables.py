@@ -132,9 +132,7 @@ def _table(
 ) -> Table:
     rng = np.random.default_rng([measured.protocol.seed, 4])
     # every photo is taken with the same motions: cluster by both
-    return tabulate(
-        title, figures, columns, rng=rng, row=0, cluster=(1, 2), counted={"motions": 2}
-    )
+    return tabulate(title, figures, columns, rng=rng, cluster=(1, 2), counted={"motions": 2})
 
 
 def _worse(figures: Mapping[str, Figure]) -> float:

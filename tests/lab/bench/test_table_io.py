@@ -39,7 +39,6 @@ def test_brackets_in_the_name_of_a_row_stay():
         figures,
         [Column("mnc", "MNC", "high")],
         rng=np.random.default_rng(0),
-        row=0,
         cluster=(1, 2),
     )
     assert r"| motdiff@runs\[w\]/a.safetensors |" in tables_markdown([table])

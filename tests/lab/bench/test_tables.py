@@ -254,9 +254,9 @@ def test_people_see_the_median_where_that_is_shown():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"cluster": 0}, "cluster: must be another label"),
-        ({"cluster": 3}, "figures: labels 0 and 3"),
-        ({"row": -1}, "figures: labels -1 and 1"),
+        ({"cluster": 0}, "figures: label 0 is wanted of every name"),
+        ({"cluster": 3}, "figures: label 3 is wanted of every name"),
+        ({"cluster": -1}, "figures: label -1 is wanted of every name"),
     ],
 )
 def test_refusals(options, message):
