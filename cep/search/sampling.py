@@ -177,8 +177,10 @@ def _walk_counts(limits: Limits) -> FloatArray:
     for i in reversed(range(n + 1)):
         for state, open_chips, closed_chips, next_state, starts, fits in steps:
             if fits[i]:
+                target = log_counts[state, i, open_chips * opens :, pulses * starts :]
+                counts, columns = target.shape
                 onwards = log_counts[next_state, i + open_chips + closed_chips]
-                _add(log_counts[state, i], onwards, open_chips * opens, pulses * starts)
+                np.logaddexp(target, onwards[:counts, :columns], out=target)
     return log_counts
 
 
@@ -186,14 +188,6 @@ def _by_open_chips(limits: Limits) -> FloatArray:
     """Logarithms of the number of codes by open chips in their range, or of all."""
     low, high = (_counted(limits)[0] * count for count in limits.open_range)
     return _walk_counts(limits)[CLOSED, 0, low : high + 1, -1]
-
-
-def _add(total: FloatArray, log_counts: FloatArray, opens: int, pulses: int) -> None:
-    """Add, in logarithms and in place, ways that are some open chips and pulses short."""
-    rows = max(len(total) - opens, 0)
-    columns = total.shape[1] - pulses
-    target = total[opens:, pulses:]
-    np.logaddexp(target, log_counts[:rows, :columns], out=target)
 
 
 def _pick(log_weights: FloatArray, count: int, rng: np.random.Generator) -> IntArray:

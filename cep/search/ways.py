@@ -10,7 +10,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cep.optics.band import ACROSS
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import SearchResult, anneal
@@ -127,17 +126,13 @@ class WayFinder:
 
     def __init__(self, problem: SearchProblem) -> None:
         problem = replace(problem, objective="mse")
-        self._fast = self._moved = Objective(problem, oversampling=_OVERSAMPLING)
+        self._fast = self._coarse = Objective(problem, oversampling=_OVERSAMPLING)
+        samples: dict[str, Any] = {"oversampling": _OVERSAMPLING}
         long = problem.straight and self._fast.rows.shape[-1] > _LONG_COLUMNS
-        oversampling = _OVERSAMPLING
-        across = ACROSS
         if long:
-            oversampling = _LONG_OVERSAMPLING
-            across = _LONG_ACROSS
-            self._moved = Objective(problem, oversampling=oversampling, across=across)
-        self._judge = Objective(
-            problem, oversampling=oversampling, across=across, dtype=np.float64
-        )
+            samples = {"oversampling": _LONG_OVERSAMPLING, "across": _LONG_ACROSS}
+            self._coarse = Objective(problem, **samples)
+        self._judge = Objective(problem, **samples, dtype=np.float64)
         work = problem.chips**2 // 4 * self._judge.shares_across.size
         self._swaps = not long or work <= _SWAPS_WORK
 
@@ -172,12 +167,8 @@ class WayFinder:
     def _lengths_near(self, camera: Camera, length: int) -> list[ShutterCode]:
         """List the best single exposures within the limits of lengths near this one."""
         problem = replace(self._fast.problem, camera=camera)
-        candidates = {
-            length - 1,
-            length + 1,
-            length + 2,
-            *(round(f * length) for f in _LENGTH_FACTORS),
-        }
+        neighbours = (length - 1, length + 1, length + 2)
+        candidates = {*neighbours, *(round(factor * length) for factor in _LENGTH_FACTORS)}
         low, high = problem.open_limits
         lengths = sorted(n for n in candidates if low <= n <= min(high, problem.chips - 1))
         codes = [
@@ -250,7 +241,7 @@ class WayFinder:
             start=[code for code in starts if charged.allows(code)],
             threads=threads,
             judge=self._judge.for_problem(charged),
-            coarse=self._moved.for_problem(charged),
+            coarse=self._coarse.for_problem(charged),
             swaps=self._swaps,
         )
 
