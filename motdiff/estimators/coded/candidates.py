@@ -21,7 +21,6 @@ UNEXPLAINED = 1.25
 """Misfit above which a path does not explain the photos."""
 SAME_PX = 1.0
 """Rms distance within which two paths count as one."""
-_APART_PX = 0.3  # candidates nearer to a better one are dropped
 _MOST_PATHS = 3  # the best, and alternatives
 _MISFIT_POWER = 4.0  # so steep that a misfit of 1.5 leaves a fifth
 
@@ -80,10 +79,10 @@ def distance_px(unknowns: Unknowns, x: Tensor, y: Tensor) -> float:
 
 
 def distinct(unknowns: Unknowns, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
-    """Best candidates of (B, N) and their costs, none nearer than 0.3 px to a better one."""
+    """Best candidates of (B, N) and their costs, each beside a better one of its kind left out."""
     index = list[int]()
     for i in torch.argsort(costs).tolist():
-        if all(distance_px(unknowns, x[i], x[j]) > _APART_PX for j in index):
+        if all(distance_px(unknowns, x[i], x[j]) > SAME_PX for j in index):
             index.append(i)
         if len(index) == keep:
             break
