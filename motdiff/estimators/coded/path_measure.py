@@ -10,9 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from motdiff.estimators.coded.codes import middles, open_at
-from motdiff.estimators.coded.exposures import BLIND_WEIGHT, Exposures
-from motdiff.estimators.coded.fit import PhotoFit
-from motdiff.estimators.coded.starts import draw_index, light_on_first, with_knots
+from motdiff.estimators.coded.starts import draw_index, light_on_first
 from motdiff.path_psfs import interpolated
 from motdiff.types import FloatArray
 
@@ -30,44 +28,6 @@ _FLOOR = 2e-3  # of the brightest: light below it is not matched
 _SPREAD_PX = 1.0  # of the light of a path that is not right to a pixel
 _SMOOTHED_STEPS = 1.0  # sigma: paths on whole pixels are jagged
 _LEAST_LOG = -16.0  # a pixel is never quite forbidden
-
-# paths that explain one kernel
-_KNOTS = 27
-_DESCENTS_PX = (2.5, 1.2)  # Gaussians of the fits, one after the other
-_DESCENT_STEPS = 7
-_COST_FACTOR = 3.0  # paths of at most so many times the least cost, and a little more
-_COST_ALLOWED = 2.0
-
-
-def explaining_paths(
-    kernel: FloatArray, *, starts: FloatArray, count: int, rng: np.random.Generator
-) -> FloatArray:
-    """Paths through an open shutter that explain a kernel about as well as any, best first.
-
-    Drawn from :class:`PathMeasure`, and fitted to the kernel like ``starts``.
-
-    Parameters
-    ----------
-    kernel : (S, S) float
-    starts : (M, K, 2) float, px
-        More paths to begin with.
-    count : int
-        Of the paths drawn.
-
-    Returns
-    -------
-    (N, 27, 2) float, px
-    """
-    exposures = Exposures(("1",), (kernel,), np.array([BLIND_WEIGHT]), np.ones(1))
-    fit = PhotoFit(exposures, [], knots=_KNOTS)
-    samples = PathMeasure([kernel], ["1"]).draw(count, knots=_KNOTS, rng=rng)
-    x = fit.pack(np.concatenate([samples, with_knots(starts, _KNOTS)]))
-    for sigma_px in _DESCENTS_PX:
-        x, costs = fit.best(
-            [fit.kernels(sigma_px), fit.loose], x, steps=_DESCENT_STEPS, keep=len(x)
-        )
-    paths = fit.paths(x)
-    return paths[costs.numpy() <= _COST_FACTOR * float(costs[0]) + _COST_ALLOWED]
 
 
 class PathMeasure:
