@@ -175,22 +175,15 @@ def open_orders(paths: Sequence[Trajectory]) -> FloatArray:
     The paths themselves come first, then the orders of the first one, of the second, and so on.
     """
     listed = [orders(path, knots=_KNOTS, count=_MOST_ORDERS) for path in paths]
-    candidates = [order[0] for order in listed] + [o for order in listed for o in order[1:]]
-    distinct = _distinct(candidates, limit=_MOST_ORDERS)
-    if len(distinct) == 1:  # shorter than that: its reverse is the one question left
-        distinct = np.concatenate([distinct, distinct[:, ::-1]])
-    return distinct
-
-
-def _distinct(paths: Sequence[FloatArray], *, limit: int) -> FloatArray:
-    """Paths (N, K, 2), centred, none within 2 px rms of one before it."""
     distinct: list[FloatArray] = []
-    for path in paths:
+    for path in [order[0] for order in listed] + [o for order in listed for o in order[1:]]:
         centred = path - path.mean(axis=0)
         if all(rms_distance_px(centred, chosen_path) > _ALIKE_PX for chosen_path in distinct):
             distinct.append(centred)
-        if len(distinct) == limit:
+        if len(distinct) == _MOST_ORDERS:
             break
+    if len(distinct) == 1:  # shorter than that: its reverse is the one question left
+        distinct.append(distinct[0][::-1])
     return np.stack(distinct)
 
 

@@ -25,7 +25,7 @@ _KERNEL_SHARE = 0.2  # of the time
 _FIT_SHARE = 0.8  # the search of the path
 # how often the path was right, of simulated walks and shakes
 # (docs/decisions/motion-estimation.md): of one photo; of two and of more, where two searches ended
-# at it and the next path is dearer (of more photos: or much dearer), where they ended at it, else
+# at it and the next path is dearer, where they ended at it, else
 _ONE_PHOTO = 0.05
 _SHARES_OF_TWO = (0.95, 0.8, 0.4)
 _SHARES_OF_MORE = (0.95, 0.8, 0.25)
@@ -44,7 +44,7 @@ class CodedEstimator:
     traced path and random walks are fitted to the kernels. Photos of one scene are then searched
     themselves, from these paths, others that share the kernels' light and random motions: one
     photo blurred by the PSF of another must equal the other blurred by the first's. The best are
-    changed and fitted again, in searches of their own until two of them agree.
+    changed and fitted again, in searches of their own until two of them agree, three at most.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of
     which it was, with as many photos, searches that agree, and a next path so much dearer.

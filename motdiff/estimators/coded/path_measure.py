@@ -17,6 +17,7 @@ from motdiff.types import FloatArray
 _BLUR_PX = 0.7  # the path moves on whole pixels, kernels estimated apart do not match to one
 _FAINT = 0.03  # of the peak: where the path may be, and a pixel around it
 _LONGEST_STEP_PX = 3
+_STEPS = 52  # of a path that every code leaves open throughout
 # of a step against the one before; a few turn sharply
 _TURN_PX = 0.9
 _SHARP_TURN_PX = 2.0
@@ -46,8 +47,6 @@ class PathMeasure:
         Of the exposures; the first is that of the code with the most light.
     codes : sequence of I str
         Bits; all but those open throughout of one length.
-    steps : int
-        Time steps of a path where every code is open throughout.
 
     References
     ----------
@@ -56,9 +55,7 @@ class PathMeasure:
     scaling for log-linear models", Annals of Mathematical Statistics 43(5), 1972 (the ascent).
     """
 
-    def __init__(
-        self, kernels: Sequence[FloatArray], codes: Sequence[str], *, steps: int = 52
-    ) -> None:
+    def __init__(self, kernels: Sequence[FloatArray], codes: Sequence[str]) -> None:
         lights = light_on_first(kernels, codes, blur_px=_BLUR_PX)
         self._support = ndimage.binary_dilation(lights[0] > _FAINT * lights[0].max())
         rows, columns = np.nonzero(self._support)
@@ -66,7 +63,7 @@ class PathMeasure:
         self._before, self._after = _neighbours(self._support)
         self._turns = _turns()
         lengths = [len(code) for code in codes if "0" in code]
-        bits = open_at(codes, middles(max(lengths, default=steps)))
+        bits = open_at(codes, middles(max(lengths, default=_STEPS)))
         light = lights[:, self._support] / lights[0, self._support].sum()
         self._centroid = light[0] @ self._points
         self._times, self._targets = _told(bits, light)

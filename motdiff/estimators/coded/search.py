@@ -70,7 +70,7 @@ def find_paths(
     """Find the paths that explain the photos best.
 
     Photos of one scene are searched from their kernels' paths and others, until two searches end
-    at one path that explains them; else their kernels alone are.
+    at one path that explains them, three at most; else their kernels alone are.
 
     Parameters
     ----------
@@ -145,11 +145,8 @@ class _Search(PhotoFit):
 
     def finished(self, paths: FloatArray) -> list[CandidatePath]:
         """Paths (B, K, 2) fitted to the photos' finest details, best first."""
-        return self._ended(self.registered(self.pack(paths)))
-
-    def _ended(self, x: Tensor) -> list[CandidatePath]:
         finest: list[Term] = [self.sharpest, *self.beside_photos(3)]
-        x, _ = self.best(finest, x, steps=3, keep=4)
+        x, _ = self.best(finest, self.registered(self.pack(paths)), steps=3, keep=4)
         x, costs = self.best(finest, x, steps=12, keep=len(x))
         self.spend(0.15)
         return self._described(finest, x, costs)
@@ -251,7 +248,7 @@ class _WideSearch(PhotoFit):
         self.measure = PathMeasure(exposures.kernels, exposures.codes)
 
     def run(self, starts: FloatArray, *, spend: Callable[[float], None]) -> tuple[Tensor, Tensor]:
-        """Candidates and costs, best first, from paths (N, K, 2), draws and random walks."""
+        """Candidates and costs, best first, from paths (N, K, 2), draws and random motions."""
         samples = self.measure.draw(_DRAWS, knots=self.knots, rng=self.rng)
         walks = _usual_walks(self.rng, self.knots, _LONE_WALKS)
         sweeps = _sweeps(self.rng, self.knots, _LONE_SWEEPS)

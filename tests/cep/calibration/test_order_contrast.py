@@ -95,11 +95,13 @@ def test_the_search_agrees_with_all_codes(runs):
 
 
 def test_survivors_are_what_the_photos_leave_open():
-    paths = open_orders([Trajectory.from_samples(LOOP)])
+    angle = 4 * np.pi * TIMES
+    curls = np.stack([30 * TIMES - 8 * np.sin(angle), 8 * np.cos(angle)], axis=1)
+    paths = open_orders([Trajectory.from_samples(curls)])
     by_open = OrderContrast(paths, [OPEN], chips=CHIPS)
-    assert len(survivors(by_open, 1)) == len(paths)
+    assert len(survivors(by_open, 1)) == len(paths) > 2
     by_two = OrderContrast(paths, [OPEN, [1, 1, 1, 1, 0, 0, 0, 0]], chips=CHIPS)
-    assert 2 <= len(survivors(by_two, 1)) <= len(paths)
+    assert 2 <= len(survivors(by_two, 1)) < len(paths)
 
 
 def test_the_next_code_can_be_played_and_comes_back_from_its_file(tmp_path):
