@@ -44,7 +44,7 @@ class CodedEstimator:
     traced path and random walks are fitted to the kernels. Photos of one scene are then searched
     themselves, from these paths, others that share the kernels' light and random motions: one
     photo blurred by the PSF of another must equal the other blurred by the first's. The best are
-    changed and fitted again, in searches of their own until two of them agree, three at most.
+    changed and fitted again, in searches of their own until two of them agree, five at most.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of
     which it was, with as many photos, searches that agree, and a next path so much dearer.

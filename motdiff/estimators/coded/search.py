@@ -49,7 +49,7 @@ _LONE_WALKS = 32
 _LONE_SWEEPS = 64
 _SWEEP_SHARES = (1.0, 0.6, 0.4)  # of Legendre polynomials of degree 1, 2 and 3
 _USUAL_PX = 50.0  # length of the walks where no kernel tells it
-_MOST_SEARCHES = 3
+_MOST_SEARCHES = 5
 # more rounds and patience, as each round changes less
 _WIDE_EVOLUTION = Evolution(rounds=20, patience=5, improved=0.998, population=8)
 _CHILDREN = 32  # of a round
@@ -70,7 +70,7 @@ def find_paths(
     """Find the paths that explain the photos best.
 
     Photos of one scene are searched from their kernels' paths and others, until two searches end
-    at one path that explains them, three at most; else their kernels alone are.
+    at one path that explains them, five at most; else their kernels alone are.
 
     Parameters
     ----------
@@ -205,7 +205,7 @@ def _wide_paths(
     """Search beside the photos alone, from paths (N, K, 2), draws and random motions.
 
     Searches are repeated, the later ones without the given paths, until two of them end at one
-    path that explains the photos, at most three times.
+    path that explains the photos, at most five times.
 
     Returns
     -------
