@@ -17,17 +17,17 @@ from motdiff.estimators.coded.candidates import (
 )
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
-from motdiff.estimators.coded.search import find_paths
+from motdiff.estimators.coded.search import CLEAR_GAP, find_paths
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 
-_KERNEL_SHARE = 0.2  # of the time
-_FIT_SHARE = 0.8  # the search of the path
+_KERNEL_SHARE = 0.45  # of the time
+_FIT_SHARE = 0.55  # the search of the path
 # how often the path was right, of simulated walks and shakes
 # (docs/decisions/motion-estimation.md): of one photo; of two and of more, where two searches ended
-# at it and the next path is dearer, where they ended at it, else
+# at it and the next path is dearer (of more photos: or much dearer), where they ended at it, else
 _ONE_PHOTO = 0.05
-_SHARES_OF_TWO = (0.95, 0.8, 0.4)
+_SHARES_OF_TWO = (0.9, 0.8, 0.6)
 _SHARES_OF_MORE = (0.95, 0.8, 0.25)
 _ERROR_RATIO = 2.8  # of true to computed error
 _DEARER = 100.0  # of the next path's cost
@@ -40,11 +40,11 @@ _LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 class CodedEstimator:
     """Find the motion, with its order and direction in time, of photos taken through known codes.
 
-    The kernel of each photo is searched on its own, and paths decoded from them, orders of the
-    traced path and random walks are fitted to the kernels. Photos of one scene are then searched
-    themselves, from these paths, others that share the kernels' light and random motions: one
-    photo blurred by the PSF of another must equal the other blurred by the first's. The best are
-    changed and fitted again, in searches of their own until two of them agree, five at most.
+    The kernel of each photo is searched on its own. Paths decoded from them, orders of the traced
+    path and random walks are fitted to the kernels, crossed with each other, and fitted to the
+    photos themselves where these show one scene: one photo blurred by the PSF of another must
+    equal the other blurred by the first's. The photos are searched without the kernels too, until
+    two searches agree; of three and more only where the kernels' path is not clear.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of
     which it was, with as many photos, searches that agree, and a next path so much dearer.
@@ -189,5 +189,6 @@ def _order_probability(
     else:
         gap = np.inf if gap is None else gap
         shares = _SHARES_OF_TWO if photos == 2 else _SHARES_OF_MORE
-        share = shares[2 if times < 2 else int(gap < _DEARER)]
+        clear = photos > 2 and gap > CLEAR_GAP
+        share = shares[2 if times < 2 and not clear else int(gap < _DEARER)]
     return share * explained_share(best.misfit)

@@ -17,7 +17,7 @@ from motdiff.estimators.coded.misfit import Unknowns
 from motdiff.estimators.coded.otfs import CodedOtfs, GridOtfs
 from motdiff.types import FloatArray
 
-_SIDE_STEP_PX = 6  # photos are cut to sides that the grids divide
+_SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
 _LARGEST_SIDE_PX = 252
 _SLOW_PX = 8.0  # slower differences of light (lamps, vignetting) are taken away
 # beyond it, in the corners of the spectrum, a blurred photo has nothing but noise
@@ -29,7 +29,7 @@ _LEAST_NOISE = 1e-3  # of full scale: 8 bits round by that, and files that were 
 _AT_ONCE = 8  # candidates, as many as fit the cache
 _SLOWEST_CY_PX = 1 / 64  # slower light is taken away
 # the curvature is summed over so many frequencies, drawn once, for each value that a step changes
-_FREQUENCIES_PER_UNKNOWN = 12
+_FREQUENCIES_PER_UNKNOWN = 16
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class SceneSpectra:
 
 
 def scene_side_px(shape: tuple[int, ...]) -> int:
-    """Side of the square of a photo (H, W) whose spectra are taken: the grids divide it."""
+    """Side of the square of a photo (H, W) whose spectra are taken: the three grids divide it."""
     return min(_LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in shape))
 
 
@@ -210,7 +210,7 @@ class SceneTerm:
         """See :class:`motdiff.estimators.coded.misfit.Term`.
 
         ``J^T r`` is exact. In ``J^T J`` the window is its rms value, and a sample of the
-        frequencies stands for all: it shapes the step, and the stated errors of a path.
+        frequencies stands for all: it only shapes the step.
         """
         for chunk, chunk_JJ, chunk_Jr in zip(
             *(torch.split(values, _AT_ONCE) for values in (x, JJ, Jr)), strict=True
