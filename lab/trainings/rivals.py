@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import cast
 
 import torch
 from torch import Tensor
@@ -17,8 +16,8 @@ from torch import Tensor
 from lab.rivals.parametric import PathNetwork
 from lab.rivals.psf_diffusion import psf_signals, psfs_of_signals
 from motdiff import __main__ as motdiff_commands
-from motdiff.network import MotDiffNetwork, NetworkConfig
-from motdiff.network.sampling import psfs_of_maps, sample_paths
+from motdiff.network import NetworkConfig
+from motdiff.network.sampling import psfs_of_maps
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.data import Batch
 from motdiff.training.loop import Trainer, blanked
@@ -39,15 +38,7 @@ class PsfTrainer(Trainer):
 
     def draw_psfs(self, batch: Batch, *, steps: int, generator: torch.Generator) -> Tensor:
         """PSF (B, 64, 64) of one draw for each photo, by the averaged weights."""
-        network = cast("MotDiffNetwork", self.average)
-        draws = sample_paths(
-            network,
-            network.condition(batch.photo, batch.physics),
-            count=1,
-            schedule=self.schedule,
-            steps=steps,
-            generator=generator,
-        )
+        draws = self.draws(batch, steps=steps, generator=generator)
         return psfs_of_signals(draws.path[:, 0])
 
 

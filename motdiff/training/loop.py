@@ -27,7 +27,7 @@ from motdiff.network.diffusion import (
     structure_loss,
     to_signal,
 )
-from motdiff.network.sampling import sample_paths
+from motdiff.network.sampling import PathSamples, sample_paths
 from motdiff.psf_frame import PSF_PX
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig
@@ -237,8 +237,12 @@ class Trainer:
 
     def draw_psfs(self, batch: Batch, *, steps: int, generator: torch.Generator) -> Tensor:
         """PSF (B, 64, 64) of one draw for each photo, by the averaged weights."""
+        return self.draws(batch, steps=steps, generator=generator).psfs()[:, 0]
+
+    def draws(self, batch: Batch, *, steps: int, generator: torch.Generator) -> PathSamples:
+        """One draw for each photo, by the averaged weights."""
         network = cast("MotDiffNetwork", self.average)
-        draws = sample_paths(
+        return sample_paths(
             network,
             network.condition(batch.photo, batch.physics),
             count=1,
@@ -246,7 +250,6 @@ class Trainer:
             steps=steps,
             generator=generator,
         )
-        return draws.psfs()[:, 0]
 
     def _precision(self) -> torch.autocast | nullcontext[None]:
         if self.config.optimiser.precision == "bf16":
