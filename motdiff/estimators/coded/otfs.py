@@ -13,7 +13,7 @@ from motdiff.estimators.coded.codes import open_at
 from motdiff.types import FloatArray
 
 # Gauss-Legendre nodes of a piece of the path, and the longest piece, of the exposure: at 0.25
-# cycles/px a piece of 5 px, three times as fast as a path of 90 px, is off by 0.02 of its light
+# cycles/px a piece of 4 px, twice as fast as a path of 90 px, is off by 0.02 of its light
 _NODES = 3
 _LONGEST_PIECE = 1 / 52
 

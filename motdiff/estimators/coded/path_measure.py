@@ -158,7 +158,9 @@ class PathMeasure:
     def _light_of(self, positions: FloatArray, share: FloatArray) -> FloatArray:
         """Light (M, P) of a path (T, 2) at the times that each target tells of, times a share."""
         half = len(self._support) // 2
-        column, row = np.clip(np.rint(positions.T + half).astype(np.intp), 0, 2 * half)
+        column, row = np.clip(
+            np.rint(positions.T + half).astype(np.intp), 0, len(self._support) - 1
+        )
         image = np.zeros((len(self._times), *self._support.shape))
         for light, times in zip(image, self._times, strict=True):
             np.add.at(light, (row, column), times * share / len(share))

@@ -210,7 +210,7 @@ class SceneTerm:
         """See :class:`motdiff.estimators.coded.misfit.Term`.
 
         ``J^T r`` is exact. In ``J^T J`` the window is its rms value, and a sample of the
-        frequencies stands for all: it only shapes the step.
+        frequencies stands for all: it shapes the step, and the stated errors of a path.
         """
         for chunk, chunk_JJ, chunk_Jr in zip(
             *(torch.split(values, _AT_ONCE) for values in (x, JJ, Jr)), strict=True

@@ -287,6 +287,26 @@ def test_the_slope_is_half_the_derivative_of_the_cost(noisy, name: str) -> None:
         np.testing.assert_allclose(2 * (slope @ direction), measured, atol=0.01 * scale, rtol=0.01)
 
 
+def test_a_sample_of_the_frequencies_has_the_curvature_of_all(noisy, monkeypatch) -> None:
+    def curvature() -> torch.Tensor:
+        matrix = torch.zeros(1, UNKNOWNS.size, UNKNOWNS.size)
+        scene_term(noisy).add_normal(disturbed(1), matrix, torch.zeros(1, UNKNOWNS.size))
+        photos = UNKNOWNS.kernel_shift(0)
+        return matrix[0, :photos, :photos].double()
+
+    sample = curvature()
+    monkeypatch.setattr("motdiff.estimators.coded.scene_term._FREQUENCIES_PER_UNKNOWN", 10**6)
+    entire = curvature()
+    assert (sample != entire).any()
+    # in units in which that of all is the identity; a little is added where they tell nothing
+    least = 1e-3 * torch.diag(entire.diagonal())
+    factor = torch.linalg.cholesky(entire + least)
+    ratios = torch.linalg.solve(factor, torch.linalg.solve(factor, sample + least).T).diagonal()
+    assert float(ratios.mean()) == pytest.approx(1, abs=0.1)
+    assert float(ratios.min()) > 0.5
+    assert float(ratios.max()) < 2
+
+
 def test_a_second_call_adds(noisy) -> None:
     x = disturbed(1)
     for term in all_terms(noisy).values():

@@ -90,6 +90,17 @@ def test_a_rerouted_path_keeps_the_rest_and_its_joints():
     assert (given == truth).all()
 
 
+def test_a_path_that_leaves_the_kernels_frame_is_led_back():
+    codes = (OPEN, HALF)
+    measure = PathMeasure(kernels_of(BENT, codes), codes)
+    line = np.linspace((-90, -90), (90, 90), KNOTS)
+    for seed in range(8):
+        led = measure.rerouted(line, rng=np.random.default_rng(seed))
+        changed = np.abs(led - line).max(axis=1) > 1
+        assert changed.any()
+        assert np.abs(led[changed]).max() < np.abs(line).max()
+
+
 def test_times_of_which_no_photo_tells_are_led_anywhere():
     first, second = "1" * 40 + "0" * 12, "0" * 12 + "1" * 28 + "0" * 12
     measure = PathMeasure(kernels_of(BENT, (first, second)), (first, second))
