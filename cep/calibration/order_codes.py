@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation
 from cep.codes.published import published
 from cep.optics.code import ShutterCode
-from cep.search.feasibility import check_feasible, feasible, nearest
-from cep.search.limits import Limits, RunLimits
+from cep.search.limits import Limits, RunLimits, check_feasible, feasible, nearest
 from cep.search.playable import within_device
 from cep.search.sampling import draw
 from hw.device import DeviceProfile, load_profile

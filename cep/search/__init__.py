@@ -4,7 +4,7 @@ A :class:`~cep.search.problem.SearchProblem` holds the motions, the objective an
 code. What else is here, in the order in which it is used:
 
 problem
-    ``limits`` of a code (``feasibility``: which conflict; ``sampling``: random codes within them;
+    ``limits`` of a code, and which conflict (``sampling``: random codes within them;
     ``playable``: those of a device), ``objectives`` by name, ``objective``: their cost of codes.
 search
     ``baselines``, what would be used instead; ``annealing`` or ``exhaustive``, and ``optima``

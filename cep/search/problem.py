@@ -14,8 +14,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.optics.scene import PHOTO, Scene
 from cep.proofs.measure import CodeMetrics, measure, worst_of
-from cep.search.feasibility import check_feasible
-from cep.search.limits import Limits, RunLimits
+from cep.search.limits import Limits, RunLimits, check_feasible
 from cep.search.objectives import OBJECTIVES, Criterion
 from cep.search.playable import chip_time_ns, within_camera, within_device
 from cep.search.sampling import draw

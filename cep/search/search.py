@@ -23,7 +23,7 @@ from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import SearchResult, anneal, standard_moves
 from cep.search.baselines import Baseline, find_baselines
 from cep.search.exhaustive.exact import ExactResult, ProofLog, codes_to_count, exact
-from cep.search.feasibility import nearest
+from cep.search.limits import nearest
 from cep.search.objective import FINE, Objective
 from cep.search.optima import proven_optimum, proven_starts
 from cep.search.problem import SearchProblem

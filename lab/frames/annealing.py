@@ -44,7 +44,7 @@ from cep.search.annealing.cooling import (
     refresh,
 )
 from cep.search.annealing.polish import BATCH, GAIN_DB, neighbours, otf_nearby
-from cep.search.annealing.proposals import Limits
+from cep.search.annealing.proposals import LoopLimits
 from cep.search.annealing.terms import BLOCK, Tables, lay_out
 from cep.search.objective import FINE, Objective
 from cep.search.problem import SearchProblem
@@ -185,13 +185,13 @@ class _Joint:
     problem: SearchProblem
     frames: int
     tables: Tables
-    limits: Limits
+    limits: LoopLimits
 
     @classmethod
     def of(cls, coarse: Objective, frames: int) -> _Joint:
         problem = coarse.problem
         tables = joint_tables(coarse, frames)
-        return cls(problem, frames, tables, Limits.of(problem))
+        return cls(problem, frames, tables, LoopLimits.of(problem))
 
     def chain(self, codes: Codes, seed: int) -> tuple[Tables, Chain]:
         """Start a chain at (M, n) codes, with the tables that it sorts for itself."""

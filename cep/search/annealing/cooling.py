@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.annealing.proposals import Limits, draw_any, draw_blocks, uniform
+from cep.search.annealing.proposals import LoopLimits, draw_any, draw_blocks, uniform
 from cep.search.annealing.terms import (
     BLOCK,
     SMALLEST,
@@ -226,7 +226,7 @@ def anneal_chain(
     moves, seed : int
     """
     tables = own_tables(tables)
-    limits = Limits.of(problem)
+    limits = LoopLimits.of(problem)
     work = work_space(tables, problem)
     free = np.arange(problem.chips)
     chain = new_chain(tables, code, seed)
@@ -261,7 +261,7 @@ def cool(
     Parameters
     ----------
     tables : Tables
-    limits : Limits
+    limits : LoopLimits
     chain : Chain
     free : (M,) int64
         Chips that may change: all of the code, or those of one exposure of several.

@@ -17,7 +17,7 @@ _TRIES = 16  # proposals drawn under run limits, to have one that keeps them
 _MOST_CHANGES = 24  # chips that one move may change: the cost of judging it grows with them
 
 
-class Limits(NamedTuple):
+class LoopLimits(NamedTuple):
     """Limits of a code for the compiled loops, which know no None.
 
     Attributes
@@ -43,7 +43,7 @@ class Limits(NamedTuple):
     constrained: bool
 
     @classmethod
-    def of(cls, problem: SearchProblem) -> Limits:
+    def of(cls, problem: SearchProblem) -> LoopLimits:
         """Limits of a problem on light, runs and pulses."""
         runs = problem.runs
         chips = problem.chips

@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.search.annealing.proposals import Limits
+from cep.search.annealing.proposals import LoopLimits
 from cep.search.exhaustive.scan import (
     BYTES,
     INNER,
@@ -45,12 +45,12 @@ class Tables:
     ----------
     basis : (n, Q) complex
         Contribution of each chip at each frequency.
-    limits : Limits
+    limits : LoopLimits
     limit : float
         |H| of interest: a code is discarded when it is below at any frequency.
     """
 
-    def __init__(self, basis: ComplexArray, limits: Limits, limit: float) -> None:
+    def __init__(self, basis: ComplexArray, limits: LoopLimits, limit: float) -> None:
         self.limits = limits
         self.inner_at = sum(_cut(len(basis))[:2])
         order = _order(basis, limits, limit)
@@ -211,7 +211,7 @@ def _cut(chips: int) -> tuple[int, int, int]:
     return (chips - INNER - near_chips + 1) // 2, near_chips, (chips - INNER - near_chips) // 2
 
 
-def _order(basis: ComplexArray, limits: Limits, limit: float) -> NDArray[np.intp]:
+def _order(basis: ComplexArray, limits: LoopLimits, limit: float) -> NDArray[np.intp]:
     """Order frequencies so that each discards most of the codes that those before it left.
 
     Both are judged on a sample of random codes. Of very many frequencies only some are taken.

@@ -31,7 +31,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis
 from cep.proofs.certify.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
 from cep.search.annealing.anneal import anneal
-from cep.search.annealing.proposals import Limits
+from cep.search.annealing.proposals import LoopLimits
 from cep.search.exhaustive.blocks import MARGIN, Scanner, Tables
 from cep.search.exhaustive.scan import BYTES, INNER, dot
 from cep.search.problem import SearchProblem
@@ -236,7 +236,7 @@ class _Proof:
     def __init__(self, best: BestCode) -> None:
         self.best = best
         self.problem = best.problem
-        self.limits = Limits.of(best.problem)
+        self.limits = LoopLimits.of(best.problem)
         self.tables: Tables | None = None
         self.lock = Lock()
         n = best.problem.chips

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled
-from cep.search.annealing.proposals import Limits, keeps_runs
+from cep.search.annealing.proposals import LoopLimits, keeps_runs
 
 INNER = 10  # chips of a block: its 1024 bits are two vector registers
 BYTES = 6  # of a code: 48 chips at most
@@ -218,7 +218,7 @@ def _reaches(code: np.uint64, dense: NDArray[np.float32], limit2: np.float32) ->
 def scan(
     blocks: CodeBlocks,
     tables: CellTables,
-    limits: Limits,
+    limits: LoopLimits,
     span: Counts,
     survivors: Bits,
     scanned: Counts,
@@ -230,7 +230,7 @@ def scan(
     ----------
     blocks : CodeBlocks
     tables : CellTables
-    limits : Limits
+    limits : LoopLimits
     span : (3,) int64
         First head, end of heads, first tail of the first head. Its first and last are moved to
         where the scan stopped: at the end, where ``survivors`` may not hold the next block, or at
@@ -358,7 +358,7 @@ def _ones(word: np.uint64) -> int:
 
 
 def possible(
-    patterns: NDArray[np.int8], limits: Limits, at_ends: tuple[bool, bool]
+    patterns: NDArray[np.int8], limits: LoopLimits, at_ends: tuple[bool, bool]
 ) -> NDArray[np.bool_]:
     """Which patterns may be part of a code that keeps the run limits.
 
@@ -370,7 +370,7 @@ def possible(
     return np.array([_runs_fit(row.tolist(), limits, at_ends) for row in patterns], dtype=np.bool_)
 
 
-def _runs_fit(row: list[int], limits: Limits, at_ends: tuple[bool, bool]) -> bool:
+def _runs_fit(row: list[int], limits: LoopLimits, at_ends: tuple[bool, bool]) -> bool:
     # a run cut off by the pattern's edge may go on: it has no shortest length yet
     runs = [(bit, len(list(group))) for bit, group in groupby(row)]
     place = 0

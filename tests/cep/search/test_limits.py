@@ -10,14 +10,15 @@ from hypothesis import strategies as st
 
 from cep.optics.code import ShutterCode
 from cep.search import sampling
-from cep.search.feasibility import (
+from cep.search.limits import (
+    Limits,
+    RunLimits,
     _fewest_pulses,
     check_feasible,
     conflicting,
     feasible,
     nearest,
 )
-from cep.search.limits import Limits, RunLimits
 from cep.search.sampling import draw
 
 

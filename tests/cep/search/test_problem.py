@@ -13,8 +13,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.optics.response import ShutterResponse
 from cep.proofs.measure import measure, worst_of
-from cep.search.feasibility import feasible
-from cep.search.limits import Limits, RunLimits
+from cep.search.limits import Limits, RunLimits, feasible
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 

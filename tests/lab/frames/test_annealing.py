@@ -20,7 +20,7 @@ from cep.search.annealing.cooling import (
     total_cost,
     worst_first,
 )
-from cep.search.annealing.proposals import Limits
+from cep.search.annealing.proposals import LoopLimits
 from cep.search.annealing.terms import BLOCK
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
@@ -273,7 +273,7 @@ def test_moves_in_several_frames_keep_the_books(name):
     problem = replace(SHORT[name], objective="noise")
     _, tables, chain = started(problem, 2, seed=2)
     low, high = problem.open_limits
-    limits = Limits.of(problem)._replace(low=2 * low, high=2 * high)
+    limits = LoopLimits.of(problem)._replace(low=2 * low, high=2 * high)
     free = np.arange(2 * problem.chips)
     work = np.empty((3, BLOCK), np.float32)
     for _ in range(10):

@@ -13,7 +13,7 @@ from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
 from cep.search.annealing.anneal import anneal
-from cep.search.annealing.proposals import Limits, keeps_runs
+from cep.search.annealing.proposals import LoopLimits, keeps_runs
 from cep.search.bounds import bound
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
@@ -156,7 +156,7 @@ def test_limits_mean_what_the_runs_say(bits, limits):
     assert problem.satisfied(code.array[None])[0] == kept
     # the compiled loops keep the same, here of two frames
     pair = np.concatenate([code.array, code.array]).astype(np.int8)
-    assert keeps_runs(pair, Limits.of(problem)) == kept
+    assert keeps_runs(pair, LoopLimits.of(problem)) == kept
 
 
 @given(st.integers(0, 99), st.integers(6, 16), RUN_LIMITS)

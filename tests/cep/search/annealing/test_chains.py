@@ -16,7 +16,7 @@ from cep.search.annealing.cooling import (
     total_cost,
     worst_first,
 )
-from cep.search.annealing.proposals import Limits
+from cep.search.annealing.proposals import LoopLimits
 from cep.search.annealing.terms import lay_out, work_space
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
@@ -125,7 +125,7 @@ def test_cooling_keeps_limits_and_books(name, objective):
     problem = replace(PROBLEMS[name], objective=objective)
     _, tables, chain = started(problem, seed=1)
     work = work_space(tables, problem)
-    limits = Limits.of(problem)
+    limits = LoopLimits.of(problem)
     free = np.arange(problem.chips)
     for _ in range(20):
         accepted = cool(tables, limits, chain, free, work, np.array([1.0, 0.5]), 40)
