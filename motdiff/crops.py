@@ -196,11 +196,6 @@ def best_windows(grey: FloatArray, *, count: int) -> list[tuple[slice, slice]]:
     return [(slice(row, row + size), slice(column, column + size)) for row, column in corners]
 
 
-def best_crops(grey: FloatArray, *, count: int) -> FloatArray:
-    """Crops (C, h, w) of a photo (H, W) at its :func:`best_windows`."""
-    return np.stack([grey[window] for window in best_windows(grey, count=count)])
-
-
 def uniformity(psfs: Sequence[ArrayLike]) -> float:
     """Mean mutual sub-pixel MNC of PSFs from several places of a photo; 1 for a single one.
 

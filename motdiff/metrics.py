@@ -1,4 +1,4 @@
-"""Metrics of an estimate: MNC of PSFs, distance of paths, PSNR and SSIM up to shift."""
+"""Metrics of an estimate: MNC of PSFs, distance of paths, PSNR up to shift."""
 
 from __future__ import annotations
 
@@ -8,9 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
 
-from motdiff.path_psfs import interpolated
-from motdiff.psf_frame import moved
-from motdiff.trajectory import Trajectory, arc_lengths, checked_points
+from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 SAME_KERNEL_MNC = 0.95
@@ -19,7 +17,6 @@ docs/decisions/network.md."""
 _SUBPIXEL_STEP_PX = 0.05
 _ALIGNED_STEP_PX = 0.25  # of images: 1 px halved twice
 _TIMES = 401  # compared of two paths
-_SPACING_PX = 0.25  # of the points that are matched
 
 
 def mnc(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
@@ -103,12 +100,6 @@ def register_shift(psf_a: ArrayLike, psf_b: ArrayLike) -> tuple[float, float]:
     )
 
 
-def laid_on(truth: ArrayLike, psf: ArrayLike) -> FloatArray:
-    """Move a ``psf``, blind and so shifted, onto ``truth`` by whole pixels; its frame grows."""
-    right_px, down_px = (round(shift) for shift in register_shift(truth, psf))
-    return moved(psf, down_px=down_px, right_px=right_px)
-
-
 def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> float:
     """Mean distance, px, of two centred paths at equal arc length, in the better direction.
 
@@ -144,29 +135,6 @@ def rms_distance_px(p: FloatArray, q: FloatArray) -> float:
     return float(np.sqrt(((apart - apart.mean(axis=0)) ** 2).sum(axis=1).mean()))
 
 
-def ordered_distance_px(a: ArrayLike, b: ArrayLike) -> float:
-    """Mean distance, px, of two paths under their best monotone matching, better direction.
-
-    Dynamic time warping over points evenly spaced along both paths: small errors of arc length do
-    not add up, as they do in :func:`path_distance_px`, but a loop run the wrong way round counts
-    in full. Nothing is centred.
-
-    Parameters
-    ----------
-    a, b : (N, 2) and (M, 2) array_like, px
-        Ordered points.
-
-    Raises
-    ------
-    ValueError
-        If a path is not finite (N, 2) points.
-    """
-    p = _evenly_spaced("a", a)
-    q = _evenly_spaced("b", b)
-    distance = np.linalg.norm(p[:, None] - q[None], axis=-1)
-    return min(_warped_mean(distance), _warped_mean(distance[:, ::-1]))
-
-
 def psnr_up_to_shift(
     restored: ArrayLike,
     sharp: ArrayLike,
@@ -184,59 +152,13 @@ def psnr_up_to_shift(
     crop_px : int
         Border left out on each side.
     """
-    return psnr(*_best_aligned(restored, sharp, max_shift_px, crop_px))
-
-
-def psnr_ssim_up_to_shift(
-    restored: ArrayLike,
-    sharp: ArrayLike,
-    *,
-    max_shift_px: float = 5.0,
-    crop_px: int = 15,
-) -> tuple[float, float]:
-    """:func:`psnr_up_to_shift`, and the SSIM at that shift, in hardly more time."""
-    aligned, target = _best_aligned(restored, sharp, max_shift_px, crop_px)
-    return psnr(aligned, target), _ssim(aligned, target)
+    return psnr(*best_aligned(restored, sharp, max_shift_px, crop_px))
 
 
 def psnr(image: FloatArray, target: FloatArray) -> float:
     """PSNR, dB, peak 1, of an image as it lies; at most 200 dB."""
     # the floor of 1e-20 keeps equal images at 200 dB
     return float(-10 * np.log10(max(float(np.mean((image - target) ** 2)), 1e-20)))
-
-
-def _ssim(image: FloatArray, target: FloatArray) -> float:
-    from skimage.metrics import structural_similarity
-
-    channel_axis = 2 if image.ndim == 3 else None
-    score: float = structural_similarity(image, target, data_range=1.0, channel_axis=channel_axis)
-    return float(score)
-
-
-def _evenly_spaced(name: str, path: ArrayLike) -> FloatArray:
-    points = checked_points(name, path)
-    arc = arc_lengths(points)
-    where = np.linspace(0, arc[-1], max(2, int(np.ceil(arc[-1] / _SPACING_PX)) + 1))
-    return interpolated(where, arc, points)
-
-
-def _warped_mean(distance: FloatArray) -> float:
-    """Least sum over monotone matchings from corner to corner, per matched pair."""
-    best = np.empty_like(distance)
-    best[0] = np.cumsum(distance[0])
-    for i in range(1, len(distance)):
-        # from above, straight or diagonally
-        entered = np.minimum(best[i - 1], np.r_[np.inf, best[i - 1, :-1]])
-        # best[j] = d[j] + min(entered[j], best[j - 1]), unrolled along the row by prefix sums
-        run = np.cumsum(distance[i])
-        best[i] = run + np.minimum.accumulate(entered - run + distance[i])
-    i, j = np.subtract(distance.shape, 1).tolist()
-    pairs = 1
-    while i or j:
-        steps = [(i - 1, j - 1), (i - 1, j), (i, j - 1)]
-        i, j = min((step for step in steps if min(step) >= 0), key=lambda step: best[step])
-        pairs += 1
-    return float(best[-1, -1] / pairs)
 
 
 def _correlation(psf_a: ArrayLike, psf_b: ArrayLike) -> FloatArray:
@@ -280,9 +202,16 @@ def _interpolator(size: int, positions: FloatArray) -> NDArray[np.complex128]:
     return np.asarray(matrix / size, dtype=np.complex128)
 
 
-def _best_aligned(
+def best_aligned(
     restored: ArrayLike, sharp: ArrayLike, max_shift_px: float, crop_px: int
 ) -> tuple[FloatArray, FloatArray]:
+    """Restored photo moved onto the sharp one, to 1/4 px, and that one, both without borders.
+
+    Raises
+    ------
+    ValueError
+        If their shapes differ, or the borders leave nothing.
+    """
     moving = np.asarray(restored, dtype=np.float64)
     target = np.asarray(sharp, dtype=np.float64)
     if moving.shape != target.shape:

@@ -104,6 +104,26 @@ def inverse_scene(samples: BandSamples, *, scene: Scene = PHOTO) -> FloatArray:
     return 1 / scene.power(samples.radius2)
 
 
+def wiener_mse(
+    power: FloatArray, samples: BandSamples, noise: float, *, scene: Scene = PHOTO
+) -> float:
+    r"""Least mean square error of a linear restoration: band mean of ``S N / (S |H|^2 + N)``.
+
+    Parameters
+    ----------
+    power : (F,) float
+        |H|^2 at the samples.
+    samples : BandSamples
+    noise : float
+        Variance N of the noise per pixel.
+    scene : Scene
+        Its spectrum is S.
+    """
+    # S N / (S |H|^2 + N) = 1 / (|H|^2 / N + 1 / S)
+    per_noise = power[:, None] / noise + inverse_scene(samples, scene=scene)
+    return float(samples.weight @ (samples.radius2_weight / per_noise).sum(axis=1))
+
+
 def noise_variance(
     camera: Camera,
     duty: ArrayLike,

@@ -13,15 +13,17 @@ from cep.optics.band import band_samples, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path
-from cep.optics.mtf import HOPELESS_DB, wiener_mse
 from cep.optics.response import ShutterResponse
-from cep.optics.scene import PHOTO, Scene, noise_variance
+from cep.optics.scene import PHOTO, Scene, noise_variance, wiener_mse
 from cep.proofs.certify.certificate import paths_by_direction
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from motdiff.files.inputs import one_line
 from motdiff.files.plugins import load_object
 from motdiff.trajectory import Trajectory
 
+HOPELESS_DB = 100.0
+"""Noise gains above this say that a sample met a zero, and how closely rounding let it: tables
+print "> 100"."""
 _ZERO = 1e-12  # |H| below this is rounding
 _GAINS = ("noise_gain_db", "dnf_db")  # infinite at a zero, which JSON cannot say
 _HIGHER_IS_BETTER = {"min_mtf", "min_mtf_lower", "min_over_duty", "min_chip", "flatness_ratio"}

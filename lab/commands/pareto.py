@@ -129,7 +129,7 @@ def pareto(options: ParetoOptions) -> None:
 
 
 def _page(comparison: FrontComparison, output: Path, picture: Path) -> Page:
-    from cep.optics.mtf import HOPELESS_DB
+    from cep.proofs.measure import HOPELESS_DB
 
     front = comparison.front
     knees = comparison.knees

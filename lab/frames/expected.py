@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_sum
-from cep.optics.mtf import wiener_mse
+from cep.optics.scene import wiener_mse
 from cep.search.expected import directed_scenarios, motion_rows, motion_samples, worst_psnr_db
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.types import FloatArray

@@ -11,8 +11,7 @@ import numpy as np
 
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import HOPELESS_DB
-from cep.proofs.measure import CodeMetrics
+from cep.proofs.measure import HOPELESS_DB, CodeMetrics
 from cep.search.annealing.anneal import Stopped
 from cep.search.baselines import mean_length_px
 from cep.search.expected import equal_light_noise, light_noise

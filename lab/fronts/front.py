@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import HOPELESS_DB
+from cep.proofs.measure import HOPELESS_DB
 from cep.search.annealing.anneal import Stopped
 from cep.search.objective import Objective, continuum_minimum
 from cep.search.problem import SearchProblem

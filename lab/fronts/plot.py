@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cep.files.foreign_text import plot_text
-from cep.optics.mtf import HOPELESS_DB
 from cep.plots.canvas import COLOURS, least_pt, new_figure
+from cep.proofs.measure import HOPELESS_DB
 from lab.fronts.front import Front, FrontPoint, knees
 from motdiff.types import FloatArray
 

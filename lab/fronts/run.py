@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 
 from cep.codes.published import for_chips
-from cep.optics.mtf import HOPELESS_DB
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.plots.canvas import save
+from cep.proofs.measure import HOPELESS_DB
 from cep.search.problem import SearchProblem
 from cep.search.search import Search
 from cep.search.verdict import Verdict, verdict

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motdiff.crops import best_crops, textured_luminance
+from motdiff.crops import best_windows, textured_luminance
 from motdiff.psf_frame import PSF_PX
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ def conditioning_maps(photo: ArrayLike) -> Tensor:
     from motdiff.photo_noise import noise_sigma
 
     grey = textured_luminance(photo, least_px=PSF_PX)  # of the lag maps
-    crops = best_crops(grey, count=_MOST_CROPS)
+    crops = np.stack([grey[window] for window in best_windows(grey, count=_MOST_CROPS)])
     classical = quick_search(crops, sigma=noise_sigma(crops[0]))
     light, kernels = (
         torch.from_numpy(array.astype(np.float32))[None] for array in (crops, classical)

@@ -19,11 +19,11 @@ import numpy as np
 from cep.codes.published import CLAIMS, for_chips, names, published
 from cep.files.tables import Sheet, check_table_name, markdown_table, write_sheets
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import chip_noise_db
 from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import chip_minimum
 from cep.proofs.measure import measure
 from cep.proofs.verify import verify
+from lab.bench.codes import chip_noise_db
 from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory

@@ -22,18 +22,20 @@ import torch
 from cep.optics.code import ShutterCode
 from cep.search.problem import SearchProblem
 from cep.search.search import Search, search
+from lab.evaluation.map_tracing import trace_map
+from lab.evaluation.metrics import ordered_distance_px
 from lab.studies.inputs import photos, smooth_trace, study_parser
 from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import quick_search
 from motdiff.estimators.pmp.estimator import refined
-from motdiff.metrics import mnc_subpixel, ordered_distance_px
+from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.physics_maps import physics_maps
 from motdiff.network.sampling import sample_paths
 from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame, without_faint_light, without_faint_parts
 from motdiff.simulate import photograph
-from motdiff.tracing import fit_dwell, simplest_trajectory, trace_map
+from motdiff.tracing import fit_dwell, simplest_trajectory
 from motdiff.trajectory import Trajectory
 from motdiff.weights import load_network
 

@@ -24,9 +24,10 @@ from cep.restoration.registry import METHODS
 from lab.bench.coded.protocol import coded_protocol, drawn_motions
 from lab.bench.datasets import crop, photo_folder, pick
 from lab.bench.statistics import mean_interval
+from lab.evaluation.metrics import psnr_ssim_up_to_shift
 from lab.studies.inputs import study_parser
 from motdiff.crops import luminance
-from motdiff.metrics import mnc_subpixel, psnr_ssim_up_to_shift
+from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory

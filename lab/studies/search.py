@@ -21,7 +21,6 @@ import numpy as np
 
 from cep.codes.published import PUBLISHED
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import chip_noise_db
 from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
 from cep.search.annealing.anneal import anneal
@@ -29,7 +28,7 @@ from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
-from lab.bench.codes import code_rows
+from lab.bench.codes import chip_noise_db, code_rows
 from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 

@@ -12,13 +12,15 @@ import time
 import numpy as np
 from scipy import spatial
 
+from lab.evaluation.map_tracing import trace_map
+from lab.evaluation.metrics import ordered_distance_px
 from lab.studies.inputs import smooth_trace, study_parser
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
-from motdiff.metrics import mnc_subpixel, ordered_distance_px
+from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, PSF_PX
-from motdiff.tracing import fit_dwell, trace_map, trace_psf_to_trajectory
+from motdiff.tracing import fit_dwell, trace_psf_to_trajectory
 from motdiff.trajectory import Trajectory
 
 HR_PX = 0.25

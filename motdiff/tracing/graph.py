@@ -6,15 +6,13 @@ import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy import ndimage, spatial
 
 from motdiff.types import BoolArray, FloatArray
 
 _EIGHT = np.ones((3, 3), dtype=bool)
 _PINHOLE_AREA = 2  # pixels: such holes lie between strands that run along each other
-_SOFT_HIGH = 0.5  # hysteresis on a soft map, as parts of its maximum
-_SOFT_LOW = 0.25
 _SPECK_PX = 4  # components of fewer pixels are dust when there is anything larger
 _BEND_REACH = 5  # pixels to either side of a bend
 
@@ -50,29 +48,6 @@ class BranchGraph:
 
     nodes: FloatArray
     branches: tuple[Branch, ...]
-
-
-def path_pixels(hr_map: ArrayLike) -> BoolArray:
-    """Mask of the path's pixels in a binary or soft map, by hysteresis.
-
-    Raises
-    ------
-    ValueError
-        If the map is not a finite, non-negative (H, W) array with something drawn in it.
-    """
-    soft = np.asarray(hr_map, dtype=np.float64)
-    if soft.ndim != 2 or not np.isfinite(soft).all() or soft.min(initial=0.0) < 0:
-        raise ValueError(
-            f"hr_map: must be a finite, non-negative (H, W) array, got shape {soft.shape}"
-        )
-    peak = float(soft.max(initial=0.0))
-    if peak <= 0:
-        raise ValueError(
-            "hr_map: nothing is drawn in it (all zero); needs at least one pixel of path"
-        )
-    labels, _ = ndimage.label(soft >= _SOFT_LOW * peak, structure=_EIGHT)
-    strong = np.unique(labels[soft >= _SOFT_HIGH * peak])
-    return np.asarray(np.isin(labels, strong[strong > 0]), dtype=bool)
 
 
 def branch_graph(mask: BoolArray, *, gap_px: float = 6.0, spur_px: float = 0.0) -> BranchGraph:

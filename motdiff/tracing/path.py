@@ -1,4 +1,4 @@
-"""Ordered paths from HR maps and from grey PSFs."""
+"""Ordered paths from grey PSFs."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, MAP_PX
+from motdiff.psf_frame import MAP_PITCH
 from motdiff.tracing.dwell import checked_psf, fit_dwell
-from motdiff.tracing.graph import BranchGraph, branch_graph, path_pixels
+from motdiff.tracing.graph import BranchGraph, branch_graph
 from motdiff.tracing.trail import smoothest_trail
 from motdiff.trajectory import Trajectory
 from motdiff.types import BoolArray, FloatArray
@@ -36,38 +36,8 @@ _LEAST_SINE = 0.2  # between strands that cross
 _STEP_PX = 0.25
 
 
-def trace_map(hr_map: ArrayLike) -> FloatArray:
-    """Trace the ordered path that an HR map draws, straight through crossings.
-
-    Parameters
-    ----------
-    hr_map : (256, 256) array_like, binary or soft (0..1 or any non-negative scale)
-        Displacement d px at index ``129.5 + 4 d``. Gaps of up to 1.5 px are bridged, dust is
-        dropped.
-
-    Returns
-    -------
-    (N, 2) float, px
-        About four points per pixel of length; the order of the two ends is arbitrary.
-
-    Raises
-    ------
-    ValueError
-        If the map is not finite, non-negative and (256, 256), or empty.
-
-    Notes
-    -----
-    Where strands share pixels, a binary map does not determine their number or pairing; the
-    smoothest curve is taken.
-    """
-    soft = np.asarray(hr_map)
-    if soft.shape != (MAP_PX, MAP_PX):
-        raise ValueError(f"hr_map: must be ({MAP_PX}, {MAP_PX}), got shape {soft.shape}")
-    return _traced(branch_graph(path_pixels(soft)), MAP_CENTRE)
-
-
 def trace_psf(psf: ArrayLike) -> FloatArray:
-    """Trace the ordered path under a grey PSF: its ridges, joined as in :func:`trace_map`.
+    """Trace the ordered path under a grey PSF: its ridges, straight through crossings.
 
     Parameters
     ----------
@@ -88,7 +58,7 @@ def trace_psf(psf: ArrayLike) -> FloatArray:
     crests, spur_px = _ridges(light)
     middle = np.array([light.shape[1] // 2, light.shape[0] // 2])
     graph = branch_graph(crests, gap_px=_PSF_GAP_PX, spur_px=spur_px)
-    return _traced(_with_weights(graph, light), MAP_PITCH * middle + MAP_PITCH * _MARGIN_PX)
+    return path_of(_with_weights(graph, light), MAP_PITCH * middle + MAP_PITCH * _MARGIN_PX)
 
 
 def trace_psf_to_trajectory(psf: ArrayLike) -> Trajectory:
@@ -164,7 +134,8 @@ def _with_weights(graph: BranchGraph, light: FloatArray) -> BranchGraph:
     return replace(graph, branches=tuple(branches))
 
 
-def _traced(graph: BranchGraph, centre: float | FloatArray) -> FloatArray:
+def path_of(graph: BranchGraph, centre: float | FloatArray) -> FloatArray:
+    """Path (N, 2), px, along a graph's smoothest trail, from ``centre``, its place on the map."""
     return (_without_stairs(smoothest_trail(graph)) - centre) / MAP_PITCH
 
 

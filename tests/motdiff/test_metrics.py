@@ -12,7 +12,6 @@ from motdiff.metrics import (
     mnc_subpixel,
     path_distance_px,
     psnr,
-    psnr_ssim_up_to_shift,
     psnr_up_to_shift,
     register_shift,
 )
@@ -210,12 +209,11 @@ def test_psnr_of_known_noise() -> None:
 
 
 @pytest.mark.parametrize("shift", [(0, 3), (-4, 2), (1.25, -2.5)])
-def test_psnr_and_ssim_up_to_shift(shift: tuple[float, float]) -> None:
+def test_psnr_up_to_shift(shift: tuple[float, float]) -> None:
     image = scene()
     moved = ndimage.shift(image, shift, order=5, mode="nearest")
     assert psnr_up_to_shift(moved, image) > 32  # bilinear re-alignment blurs a little
     assert psnr_up_to_shift(moved, image) > psnr_up_to_shift(moved, image, max_shift_px=0) + 5
-    assert psnr_ssim_up_to_shift(moved, image)[1] > 0.97
     colour = np.stack([moved] * 3, axis=-1)
     assert psnr_up_to_shift(colour, np.stack([image] * 3, axis=-1)) == pytest.approx(
         psnr_up_to_shift(moved, image)

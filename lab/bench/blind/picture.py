@@ -17,10 +17,10 @@ from lab.bench.blind.work import measure_levin, measure_simulated
 from lab.bench.inset import show_inset
 from lab.bench.psf_text import psf_from_text
 from lab.evaluation.measure import restored
+from lab.evaluation.metrics import laid_on
 from lab.evaluation.sets import levin_photo
 from lab.jobs.cells import Cell, Result
 from motdiff.crops import luminance
-from motdiff.metrics import laid_on
 from motdiff.psf_frame import in_frame
 from motdiff.simulate import to_linear
 from motdiff.threads import one_thread

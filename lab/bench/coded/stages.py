@@ -27,8 +27,9 @@ from lab.bench.coded.designs import MotionPrior, design_code
 from lab.bench.coded.protocol import paths_from, paths_to
 from lab.bench.datasets import Cut, sharp_scene
 from lab.bench.psf_text import psf_from_text, psf_to_text
+from lab.evaluation.metrics import laid_on, psnr_ssim_up_to_shift
 from motdiff.files.plugins import is_reference
-from motdiff.metrics import laid_on, mnc_subpixel, psnr_ssim_up_to_shift
+from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, moved
 from motdiff.simulate import visible
 from motdiff.threads import one_thread

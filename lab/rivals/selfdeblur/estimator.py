@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lab.rivals.selfdeblur.config import SelfDeblurConfig
 from lab.rivals.selfdeblur.fit import JointFit
-from motdiff.crops import best_crops, textured_luminance
+from motdiff.crops import best_windows, textured_luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.description import estimate_from_kernel
 
@@ -81,7 +81,8 @@ class SelfDeblurEstimator:
         """
         began_s = time.process_time()
         earlier_s = 0.0
-        window = best_crops(textured_luminance(photo, least_px=_LEAST_PX), count=1)[0]
+        grey = textured_luminance(photo, least_px=_LEAST_PX)
+        window = grey[best_windows(grey, count=1)[0]]
         fit = JointFit(torch.from_numpy(window.astype(np.float32)).to(self._device), self._config)
         file = self._file(window)
         if file is not None:

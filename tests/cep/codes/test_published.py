@@ -8,8 +8,8 @@ import pytest
 
 from cep.codes.published import CLAIMS, PUBLISHED, for_chips, names, published
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import chip_noise_db
 from cep.proofs.certify.minimum import chip_minimum, min_chip
+from lab.bench.codes import chip_noise_db
 
 # name, chips, open, min |P|, absolute noise gain in dB (None: a true zero makes it infinite)
 TABLE = [

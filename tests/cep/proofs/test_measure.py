@@ -13,8 +13,7 @@ from cep.optics.band import band, band_samples, circle_samples, straight_axis, u
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
-from cep.optics.mtf import chip_noise_db, wiener_mse
-from cep.optics.scene import PHOTO, noise_variance
+from cep.optics.scene import PHOTO, noise_variance, wiener_mse
 from cep.proofs.certify.minimum import chip_minimum, min_chip, mtf_minimum
 from cep.proofs.measure import measure, worst_of
 from motdiff.trajectory import Trajectory
@@ -247,7 +246,3 @@ def test_straight_wiener_error_agrees_with_the_plane():
     assert measure(path, code, camera=camera).mse_db == pytest.approx(
         10 * np.log10(plane), abs=0.02
     )
-
-
-def test_chip_noise_of_one_chip_is_nought():
-    assert chip_noise_db(ShutterCode("0100")) == pytest.approx(0, abs=1e-12)

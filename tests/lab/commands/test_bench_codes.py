@@ -9,7 +9,7 @@ from cep_tables import read_tables
 
 from cep.commands.console import FAILURE, INTERRUPTED
 from cep.optics.code import ShutterCode
-from lab.bench.codes import code_cells, code_rows
+from lab.bench.codes import chip_noise_db, code_cells, code_rows
 
 
 def untouchable(*_arguments, **_options):
@@ -161,3 +161,7 @@ def test_another_budget_is_another_cell():
 )
 def test_refusals(lab, workplace, options, message):
     assert message in lab.refuses("bench", "codes", *options)
+
+
+def test_chip_noise_of_one_chip_is_nought():
+    assert chip_noise_db(ShutterCode("0100")) == pytest.approx(0, abs=1e-12)

@@ -8,13 +8,13 @@ from hypothesis.extra.numpy import arrays
 from matplotlib.text import Text
 
 from cep.optics.code import ShutterCode
-from cep.optics.mtf import chip_noise_db
 from cep.plots.canvas import png_bytes
 from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
+from lab.bench.codes import chip_noise_db
 from lab.fronts.front import Front, FrontPoint, knees, non_dominated
 from lab.fronts.pareto import front_points, pareto_front
 from lab.fronts.plot import pareto_figure

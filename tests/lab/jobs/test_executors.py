@@ -181,7 +181,7 @@ def copied(folder):
 
 
 def other_code(root):
-    path = root / "cep/optics/mtf.py"
+    path = root / "cep/optics/scene.py"
     path.write_text(path.read_text(encoding="utf-8") + "\nSCENE_STD = 0.3\n", encoding="utf-8")
 
 

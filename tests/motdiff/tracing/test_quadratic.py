@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from motdiff.metrics import mnc_subpixel, ordered_distance_px
+from lab.evaluation.metrics import ordered_distance_px
+from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.tracing import simplest_trajectory, trace_psf_to_trajectory
 from motdiff.tracing.quadratic import quadratic_of_psf

@@ -7,8 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from motdiff.metrics import mnc_subpixel, ordered_distance_px
-from motdiff.tracing import fit_dwell, path, trace_map, trace_psf, trace_psf_to_trajectory
+from lab.evaluation.map_tracing import trace_map
+from lab.evaluation.metrics import ordered_distance_px
+from motdiff.metrics import mnc_subpixel
+from motdiff.tracing import fit_dwell, path, trace_psf, trace_psf_to_trajectory
 from motdiff.tracing.graph import Branch, BranchGraph
 from motdiff.tracing.trail import smoothest_trail
 from motdiff.trajectory import Trajectory
@@ -135,25 +137,6 @@ def test_gaps_are_bridged_and_dust_is_dropped():
     assert ordered_distance_px(trace_map(hr), truth.xy) < HR_PX
 
 
-def test_a_soft_map_is_traced_as_its_binary_one():
-    truth = Trajectory.from_samples(figure_eight())
-    rng = np.random.default_rng(0)
-    soft = 0.8 * truth.hr_map() + 0.15 * rng.random((256, 256))
-    np.testing.assert_array_equal(trace_map(soft), trace_map(truth.hr_map()))
-
-
-@pytest.mark.parametrize(
-    "pixels", [[(130, 130)], [(130, 130), (130, 131)], [(0, 0), (0, 1), (1, 1)], [(255, 255)]]
-)
-def test_the_smallest_maps_give_short_paths(pixels):
-    hr = np.zeros((256, 256))
-    hr[tuple(np.transpose(pixels))] = 1
-    path = trace_map(hr)
-    assert path.shape[1] == 2
-    assert np.isfinite(path).all()
-    assert np.abs(4 * path + 129.5 - np.mean(pixels, axis=0)[::-1]).max() <= 1
-
-
 def test_dwell_of_a_two_speed_line_is_found():
     t = np.array([0.0, 0.75, 1.0])
     truth = Trajectory.from_samples(np.array([[-10.0, 0.3], [0.0, 0.3], [10.0, 0.3]]), t=t)
@@ -246,16 +229,9 @@ def test_a_delta_is_a_tiny_path_at_its_place():
     assert mnc_subpixel(found.psf(31), psf) > 0.95
 
 
-NAN_MAP = np.full((256, 256), np.nan)
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: trace_map(np.zeros((256, 256))), "hr_map: nothing is drawn"),
-        (lambda: trace_map(np.ones((64, 64))), r"hr_map: must be \(256, 256\)"),
-        (lambda: trace_map(NAN_MAP), "hr_map: must be a finite"),
-        (lambda: trace_map(-np.ones((256, 256))), "hr_map: must be a finite, non-negative"),
         (lambda: trace_psf(np.zeros((9, 9))), "psf: must be"),
         (lambda: trace_psf(np.ones(9)), "psf: must be"),
         (lambda: trace_psf_to_trajectory(-np.ones((9, 9))), "psf: must be"),
@@ -268,16 +244,6 @@ def test_bad_input_is_one_clear_line(call, message):
     with pytest.raises(ValueError, match=f"^{message}") as caught:
         call()
     assert "\n" not in str(caught.value)
-
-
-def test_ordered_distance_is_zero_for_a_path_and_its_reverse_and_sees_a_loop_run_backwards():
-    legs = loop_crossing_itself(np.radians(80))
-    assert ordered_distance_px(legs, legs[::-1]) == pytest.approx(0, abs=1e-9)
-    turned = np.concatenate([legs[:100], legs[100:700][::-1], legs[700:]])
-    assert ordered_distance_px(legs, turned) > 1.0
-    assert ordered_distance_px([[0, 0], [10, 0]], [[0, 1], [10, 1]]) == pytest.approx(1.0)
-    with pytest.raises(ValueError, match=r"^b: must be"):
-        ordered_distance_px(legs, [[1, 2, 3]])
 
 
 @pytest.mark.parametrize(("share", "covered"), [(0.2, False), (1.0, True)])
