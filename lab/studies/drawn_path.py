@@ -25,9 +25,9 @@ from cep.search.search import Search, search
 from lab.evaluation.map_tracing import trace_map
 from lab.evaluation.metrics import ordered_distance_px
 from lab.studies.inputs import photos, smooth_trace, study_parser
+from motdiff.blind_search.coarse_to_fine import refined
 from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import quick_search
-from motdiff.estimators.pmp.estimator import refined
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.network.diffusion import cosine_schedule

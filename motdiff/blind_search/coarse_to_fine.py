@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,6 +18,7 @@ from motdiff.blind_search.latent import (
     salient_gradients,
     start_threshold,
 )
+from motdiff.types import FloatArray
 
 _RATIO = math.sqrt(0.5)  # of neighbouring scales: half as many pixels
 _COARSEST_PX = 5  # kernel side at the coarsest scale, where two equal pixels are a fair start
@@ -232,6 +234,16 @@ def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
             rounds=_FINE_ROUNDS,
         )
     return kernel
+
+
+def refined(crops: FloatArray, kernel: FloatArray, sigma: float) -> FloatArray:
+    """Refine one photo's kernel (k, k) on its crops (C, H, W), as :func:`refine_kernel` does."""
+    photos, kernels = (
+        torch.from_numpy(array.astype(np.float32))[None] for array in (crops, kernel)
+    )
+    with torch.no_grad():
+        kernels = refine_kernel(photos, kernels, sigma=sigma)
+    return np.asarray(kernels[0].numpy(), dtype=np.float64)
 
 
 def fine_latent(

@@ -20,6 +20,7 @@ from motdiff.estimators.fusion import GOOD_MNC, Fusion, cut_alike, fuse
 from motdiff.estimators.kernel_score import uneven_blur_warning
 from motdiff.estimators.lights import MOST_LIGHTS, without_lights
 from motdiff.metrics import path_distance_px
+from motdiff.photo_noise import shared_sigma
 from motdiff.progress import Progress
 from motdiff.psf_frame import without_faint_parts
 from motdiff.threads import one_thread_a_call
@@ -88,9 +89,11 @@ class BlindEstimator(ABC):
     def single(self, crops: FloatArray, candidates: FoundKernels) -> list[FloatArray]:
         """Search each crop alone, in the cheapest way, to test whether the blur is uniform."""
 
-    def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:  # noqa: ARG002
-        """Fit one photo's kernel (k, k) to the crops (C, H, W) of several; here unchanged."""
-        return kernel
+    def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
+        """Fit one photo's kernel (k, k) to the crops (C, H, W) of several."""
+        from motdiff.blind_search.coarse_to_fine import refined
+
+        return refined(crops, kernel, shared_sigma(crops))
 
     def corrected(self, crops: FloatArray, candidates: FoundKernels) -> FoundKernels:  # noqa: ARG002
         """Improve the final kernels of the crops (C, H, W), each in its place; here unchanged."""

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from motdiff.blind_search.coarse_to_fine import refined
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import Judge, candidate_probabilities, distinct
 from motdiff.estimators.motdiff import MotDiff
@@ -22,7 +23,7 @@ from motdiff.estimators.motdiff.correcting import (
 )
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.multiscale import BlindEstimator
-from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned, refined
+from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned
 from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
@@ -181,10 +182,6 @@ class MotDiffEstimator(BlindEstimator):
             [partial(_searched_alone, crop) for crop in crops],
             tell=lambda _finished: self._progress.spend(cost),
         )
-
-    def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
-        """Fit a kernel (k, k) to the crops (C, H, W) once more."""
-        return refined(crops, kernel, shared_sigma(crops))
 
     def corrected(self, crops: FloatArray, candidates: FoundKernels) -> FoundKernels:
         """Correct the likeliest kernels, choose anew, and take a simple motion as likely."""

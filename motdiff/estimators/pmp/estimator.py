@@ -13,7 +13,6 @@ from motdiff.blind_search.coarse_to_fine import (
     PmpSettings,
     Start,
     estimate_kernels,
-    refine_kernel,
 )
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import rank_kernels
@@ -136,10 +135,6 @@ class PmpEstimator(BlindEstimator):
             ]
         )
 
-    def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
-        """Fit a kernel (k, k) to the crops (C, H, W) once more."""
-        return refined(crops, kernel, shared_sigma(crops))
-
     def _run(
         self, crops: FloatArray, start: Start, *, on_progress: Callable[[float], None]
     ) -> FloatArray:
@@ -160,13 +155,3 @@ class PmpEstimator(BlindEstimator):
 def planned(starts: int) -> float:
     """Mean number of starts run: those after the first two only where these disagree."""
     return min(starts, 2) + _DISAGREE * max(starts - 2, 0)
-
-
-def refined(crops: FloatArray, kernel: FloatArray, sigma: float) -> FloatArray:
-    """Refine a kernel (k, k) on crops (C, H, W) by :func:`~.blind.refine_kernel`, in numpy."""
-    photos, kernels = (
-        torch.from_numpy(array.astype(np.float32))[None] for array in (crops, kernel)
-    )
-    with torch.no_grad():
-        kernels = refine_kernel(photos, kernels, sigma=sigma)
-    return np.asarray(kernels[0].numpy(), dtype=np.float64)

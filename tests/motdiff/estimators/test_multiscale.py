@@ -57,6 +57,9 @@ class FakeSearch(BlindEstimator):
             tuple(self.warnings),
         )
 
+    def refine(self, crops, kernel):
+        return kernel
+
     def single(self, crops, found):
         self.alone.append((crops, found))
         return self.singles or [found.kernels[found.best]] * len(crops)
