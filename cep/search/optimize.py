@@ -268,39 +268,24 @@ def optimize(
     searched_how = how
     chosen: ChipCount | None = None
     if not isinstance(problem, SearchProblem):
-        started = time.monotonic()
-        chosen = choose_chips(
+        problem, searched_how, chosen = _with_chips(
             problem,
+            how,
             path_error_px=path_error_px,
-            seed=seed,
-            time_s=_CHOOSING * (time_s or math.inf),
             threads=threads,
             progress=_part(progress, 0.0, _CHOOSING),
         )
-        problem = problem(chosen.chips)
         progress = _part(progress, _CHOOSING, 1.0)
         if chosen.code is not None:  # best by the expected error: a start by any objective
             start = [*start, chosen.code]
-        if chosen.early == "interrupted":
-            searched_how = replace(how, time_s=NO_TIME_S)
-        elif time_s is not None:
-            left_s = time_s - (time.monotonic() - started)
-            searched_how = replace(how, time_s=max(left_s, _LEAST_LEFT * time_s))
     motion = checked_motion(problem, along)
-    searched = searched_problem(problem)
-    progress(0.0, f"{codes_to_count(searched):.2g} codes" if method == "exact" else "")
-
-    def report_search(share: float, best: ShutterCode) -> None:
-        on_best(best)
-        progress(_SEARCH_SHARE * share, f"{best.open_chips} open")
-
-    outcome = search(
-        searched,
+    outcome = _searched(
+        problem,
         searched_how,
         start=start,
-        length_px=mean_length_px(problem),
         threads=threads,
-        progress=report_search,
+        on_best=on_best,
+        progress=_part(progress, 0.0, _SEARCH_SHARE),
     )
     if chosen is not None and chosen.early == "interrupted":
         outcome = replace(outcome, stopped="interrupted")
@@ -339,6 +324,59 @@ def optimize(
         certificate,
         *bounded,
         chip_count=chosen,
+    )
+
+
+def _with_chips(
+    problem: Callable[[int], SearchProblem],
+    how: Search,
+    *,
+    path_error_px: float,
+    threads: int | None,
+    progress: Progress,
+) -> tuple[SearchProblem, Search, ChipCount]:
+    """Choose the number of chips: the problem with so many, its search in the time left, why."""
+    started = time.monotonic()
+    chosen = choose_chips(
+        problem,
+        path_error_px=path_error_px,
+        seed=how.seed,
+        time_s=_CHOOSING * (how.time_s or math.inf),
+        threads=threads,
+        progress=progress,
+    )
+    if chosen.early == "interrupted":
+        how = replace(how, time_s=NO_TIME_S)
+    elif how.time_s is not None:
+        left_s = how.time_s - (time.monotonic() - started)
+        how = replace(how, time_s=max(left_s, _LEAST_LEFT * how.time_s))
+    return problem(chosen.chips), how, chosen
+
+
+def _searched(
+    problem: SearchProblem,
+    how: Search,
+    *,
+    start: Sequence[ShutterCode],
+    threads: int | None,
+    on_best: Callable[[ShutterCode], None],
+    progress: Progress,
+) -> SearchOutcome:
+    """Search the code, and report the best so far."""
+    searched = searched_problem(problem)
+    progress(0.0, f"{codes_to_count(searched):.2g} codes" if how.method == "exact" else "")
+
+    def report(share: float, best: ShutterCode) -> None:
+        on_best(best)
+        progress(share, f"{best.open_chips} open")
+
+    return search(
+        searched,
+        how,
+        start=start,
+        length_px=mean_length_px(problem),
+        threads=threads,
+        progress=report,
     )
 
 
