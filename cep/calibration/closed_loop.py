@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -137,3 +138,62 @@ def calibration_steps(
         )
         assert choice is not None  # as the order is not sure
         code = choice.code
+
+
+def calibrate_in_loop(
+    take: Callable[[ShutterCode], ArrayLike],
+    folder: Path,
+    *,
+    source: Callable[[CalibrationStep], dict[str, object]],
+    chips: int = 52,
+    chip_ns: int = 1_000_000,
+    device: DeviceProfile | str | None = None,
+    force: bool = False,
+    progress: Callable[[float, str], None] = lambda _share, _note: None,
+) -> tuple[list[CalibrationStep], Path]:
+    """Go through :func:`calibration_steps`, and write the motion after each.
+
+    Parameters
+    ----------
+    take, chips, chip_ns, device
+        As of :func:`calibration_steps`.
+    folder : Path
+        Of the motion, written as by :meth:`cep.calibration.calibrate.Calibration.save`: what fails
+        later does not cost it.
+    source : callable
+        Describes in the trajectory's file what a step's motion was found in.
+    force : bool
+        Whether files of an earlier run are replaced.
+    progress : callable, optional
+        Called with the finished share 0..1 of the most photos, and what is being done.
+
+    Returns
+    -------
+    steps : list of CalibrationStep
+    trajectory : Path
+        Of the last one.
+
+    Raises
+    ------
+    ValueError
+        As :func:`calibration_steps`.
+    OSError
+        If the motion cannot be written.
+    """
+    steps: list[CalibrationStep] = []
+    for step in calibration_steps(
+        take,
+        chips=chips,
+        chip_ns=chip_ns,
+        device=device,
+        progress=lambda share, note: progress(
+            (len(steps) + share) / MOST_PHOTOS, f"photo {len(steps) + 1}: {note}"
+        ),
+    ):
+        steps.append(step)
+        files = step.calibration.save(
+            folder,
+            source=source(step),
+            force=force or len(steps) > 1,  # over that of the photos before
+        )
+    return steps, files["trajectory.json"]

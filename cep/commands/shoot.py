@@ -21,7 +21,7 @@ from cep.commands.options import (
     output_option,
 )
 from cep.commands.shots import (
-    calibrate_in_loop,
+    calibrate_by_shots,
     calibrate_with_set,
     end_unless_counted,
     take_photos,
@@ -212,7 +212,7 @@ def shoot(options: ShootOptions) -> None:
     elif options.set_folder is not None:
         calibrate_with_set(options, options.set_folder)
     elif options.is_calibrating:
-        calibrate_in_loop(options)
+        calibrate_by_shots(options)
     else:
         _photos(options)
 

@@ -115,10 +115,10 @@ def _motion_lines(
     ]
 
 
-def calibrate_in_loop(options: ShootOptions) -> None:
+def calibrate_by_shots(options: ShootOptions) -> None:
     """Take photos of one motion, each code chosen by those before, until its order is sure."""
     from cep.calibration.calibrate import CALIBRATION_FILES
-    from cep.calibration.closed_loop import MOST_PHOTOS, calibration_steps
+    from cep.calibration.closed_loop import MOST_PHOTOS, calibrate_in_loop
     from cep.commands.code_options import STANDARD_CHIPS
     from cep.optics.path_limits import check_resolved
     from cep.shutter.shoot import open_rig
@@ -134,16 +134,6 @@ def calibrate_in_loop(options: ShootOptions) -> None:
     if settings.motion is not None:
         check_resolved(settings.motion, STANDARD_CHIPS)
     assert options.camera is not None
-    steps: list[CalibrationStep] = []
-
-    def save(step: CalibrationStep) -> Path:
-        paths = step.calibration.save(
-            motion_folder,
-            source=_source(folder, step.codes),
-            force=options.force or len(steps) > 1,  # over that of the photos before
-        )
-        return paths["trajectory.json"]
-
     with progress("calibrating") as tick, open_rig(options.camera, options.port) as rig:
 
         def take(code: ShutterCode) -> FloatArray:
@@ -159,17 +149,16 @@ def calibrate_in_loop(options: ShootOptions) -> None:
                 " has it once"
             )
         try:
-            for step in calibration_steps(
+            steps, trajectory = calibrate_in_loop(
                 take,
+                motion_folder,
+                source=lambda step: _source(folder, step.codes),
                 chips=STANDARD_CHIPS,
                 chip_ns=options.chip_ns or 1_000_000,
                 device=rig.controller.limits,
-                progress=lambda share, note: tick(
-                    (len(steps) + share) / MOST_PHOTOS, f"photo {len(steps) + 1}: {note}"
-                ),
-            ):
-                steps.append(step)
-                trajectory = save(step)  # each: what fails later does not cost it
+                force=options.force,
+                progress=tick,
+            )
         except BaseException as error:  # Ctrl-C as well: the photos are there
             if folder.files:
                 error.add_note(f"photos so far: {', '.join(map(str, folder.files))}")

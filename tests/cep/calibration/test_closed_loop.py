@@ -5,12 +5,13 @@ import pytest
 
 from cep.calibration import closed_loop
 from cep.calibration.calibrate import Calibration
-from cep.calibration.closed_loop import calibration_steps
+from cep.calibration.closed_loop import calibrate_in_loop, calibration_steps
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from hw.device import load_profile
 from hw.program import Program
 from motdiff.estimators.base import MotionEstimate
+from motdiff.files.trajectories import read_motion
 from motdiff.metrics import timed_distance_px
 from motdiff.trajectory import Trajectory
 
@@ -128,3 +129,32 @@ def test_the_order_of_a_motion_is_found():
     steps = list(calibration_steps(camera_of(bow(), side_px=220)))
     assert steps[-1].is_sure
     assert timed_distance_px(steps[-1].calibration.best, bow()) < 0.7
+
+
+def test_the_motion_is_written_after_each_photo(stated, tmp_path):
+    stated([0.6, 0.97])
+    shares = []
+    steps, trajectory = calibrate_in_loop(
+        camera_of(bow()),
+        tmp_path / "motion",
+        source=lambda step: {"codes": [code.bits for code in step.codes]},
+        chips=24,
+        progress=lambda share, note: shares.append((share, note)),
+    )
+    assert [step.is_sure for step in steps] == [False, True]
+    stored = read_motion(trajectory)
+    assert stored.source["codes"] == [code.bits for code in steps[-1].codes]
+    assert [share for share, _ in shares] == sorted(share for share, _ in shares)
+    assert shares[-1][1].startswith("photo 2: ")
+
+
+def test_photos_before_a_failure_leave_their_motion(stated, tmp_path, monkeypatch):
+    stated([0.6])
+
+    def broken(*_arguments, **_options):
+        raise OSError("the cable is out")
+
+    monkeypatch.setattr(closed_loop, "next_code", broken)
+    with pytest.raises(OSError, match="cable"):
+        calibrate_in_loop(camera_of(bow()), tmp_path / "motion", source=lambda _step: {}, chips=24)
+    assert (tmp_path / "motion" / "trajectory.json").is_file()
