@@ -266,10 +266,7 @@ def _stacked(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 def continuum_minimum(
     problem: SearchProblem, motion: tuple[Scenario, bool] | None, code: ShutterCode
 ) -> float:
-    """Smallest |H| over the continuum along a scenario in one direction; None: unit circle.
-
-    None is the unit circle.
-    """
+    """Smallest |H| over the continuum along a scenario in one direction; None: unit circle."""
     if motion is None:
         return min_chip(code) / code.chips
     scenario, reversed_path = motion
