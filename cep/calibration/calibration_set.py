@@ -17,11 +17,12 @@ from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile
 from hw.export import export_program, find_exporter
 from hw.program import Program
-from motdiff.files.json_files import json_text
+from motdiff.files.inputs import one_line
+from motdiff.files.json_files import fault, json_text, load_schema, read_versioned
 from motdiff.files.outputs import new_folder, write_text
 
-SET_FILE = "set.json"
-SET_SCHEMA = "cep.calibration-set/1"
+_FILE = "set.json"
+_SCHEMA = "cep.calibration-set/1"
 
 _LENGTH_PX = 60.0  # walks that long have 8 orders in the median: enough for a set to fail on
 _DESIGN_WALKS = 64
@@ -158,9 +159,7 @@ class CalibrationSet:
         """
         names = set_files(len(self.codes), file_format)
         with new_folder(folder, names, force=force) as staged:
-            write_text(
-                staged / SET_FILE, json_text({"schema": SET_SCHEMA, **self.to_dict(folder)})
-            )
+            write_text(staged / _FILE, json_text({"schema": _SCHEMA, **self.to_dict(folder)}))
             device = self.device and self.device.to_dict()
             all_bits = [code.bits for code in self.codes]
             for i, code in enumerate(self.codes, 1):
@@ -178,10 +177,37 @@ def set_files(photos: int, file_format: str) -> tuple[str, ...]:
     """Names of the files of a set."""
     stems = [f"code_{i}" for i in range(1, photos + 1)]
     return (
-        SET_FILE,
+        _FILE,
         *(f"{stem}.json" for stem in stems),
         *(find_exporter(file_format).file_name(stem) for stem in stems),
     )
+
+
+def read_set(folder: Path | str, *, chip_ns: int | None = None) -> list[ShutterCode]:
+    """Read the codes of a set that :meth:`CalibrationSet.save` wrote, in the order of the photos.
+
+    Parameters
+    ----------
+    folder : folder
+    chip_ns : int, optional
+        Their chip time; the set's when omitted.
+
+    Raises
+    ------
+    ValueError
+        If the set's file is not valid; the line names it.
+    OSError
+        If it cannot be read.
+    """
+    source = Path(folder) / _FILE
+    document = read_versioned(source, _SCHEMA)
+    if (wrong := fault(document, load_schema("cep.files", "calibration-set"))) is not None:
+        raise ValueError(f"{source}: {wrong}")
+    chip_ns = chip_ns or int(document["chip_ns"])
+    try:
+        return [ShutterCode(photo["bits"], chip_ns) for photo in document["photos"]]
+    except ValueError as error:
+        raise ValueError(f"{source}: {one_line(error)}") from None
 
 
 def calibration_set(

@@ -60,21 +60,10 @@ def end_unless_counted(folder: ShotFolder) -> None:
 def calibrate_with_set(options: ShootOptions, folder: Path) -> None:
     """Take the photos of a calibration set, and estimate the motion from them."""
     from cep.calibration.calibrate import CALIBRATION_FILES, estimate_motion
-    from cep.calibration.calibration_set import SET_FILE, SET_SCHEMA
-    from cep.optics.code import ShutterCode
-    from motdiff.files.inputs import one_line
-    from motdiff.files.json_files import fault, load_schema, read_versioned
+    from cep.calibration.calibration_set import read_set
     from motdiff.files.outputs import claim_folder
 
-    source = folder / SET_FILE
-    document = read_versioned(source, SET_SCHEMA)
-    if (wrong := fault(document, load_schema("cep.files", "calibration-set"))) is not None:
-        raise ValueError(f"{source}: {wrong}")
-    chip_ns = options.chip_ns or int(document["chip_ns"])
-    try:
-        codes = [ShutterCode(photo["bits"], chip_ns) for photo in document["photos"]]
-    except ValueError as error:
-        raise ValueError(f"{source}: {one_line(error)}") from None
+    codes = read_set(folder, chip_ns=options.chip_ns)
     motion_folder = options.output / "motion"
     claim_folder(motion_folder, CALIBRATION_FILES, force=options.force)
     stems = [f"P{number}" for number in range(1, len(codes) + 1)]

@@ -6,7 +6,7 @@ import shlex
 import numpy as np
 import pytest
 
-from cep.calibration.calibration_set import calibration_set, set_files
+from cep.calibration.calibration_set import calibration_set, read_set, set_files
 from cep.codes.sources import load_codes
 from cep.files.code_files import read_code
 from hw.device import load_profile
@@ -72,6 +72,8 @@ def test_files_are_those_that_the_command_reads(pair, tmp_path, monkeypatch):
     assert load_codes(sources) == pair.codes
     check_codes([code.bits for code in pair.codes])
     assert [one["bits"] for one in stored["photos"]] == [code.bits for code in pair.codes]
+    assert read_set("a set") == [*pair.codes]
+    assert {code.chip_ns for code in read_set("a set", chip_ns=1000)} == {1000}
     for i, code in enumerate(pair.codes, 1):
         assert read_code(f"a set/code_{i}.json").code == code
         program = EXPORTERS["json"].parse_back(
