@@ -23,7 +23,6 @@ from cep.commands.options import (
 
 if TYPE_CHECKING:
     from cep.files.code_files import StoredCode
-    from cep.optics.camera import Camera
     from cep.optics.code import ShutterCode
     from cep.plots.codes import MtfRow
     from cep.proofs.audit import Audit
@@ -98,7 +97,7 @@ def audit(options: AuditOptions) -> None:
     Example: cep audit code.json --linear 40 --figure mymodule:my_figure
     """
     from cep.codes.sources import find_code
-    from cep.optics.scene import PHOTO, Scene
+    from cep.files.code_files import stored_camera, stored_scene
     from cep.proofs.audit import audit as audit_code
     from cep.proofs.verify import verify
     from cep.search.problem import SearchProblem
@@ -112,10 +111,11 @@ def audit(options: AuditOptions) -> None:
             f" lab prove --check {options.code}"
         )
     stored = find_code(options.code, chip_ns=options.chip_ns)
-    camera = _camera(options, stored)
-    scene = PHOTO
-    if (document := stored.problem.get("scene")) is not None:
-        scene = Scene(**document)  # checked where the file was read
+    searched_camera = None
+    if options.camera is None:
+        searched_camera = stored_camera(stored, source=options.code)
+    camera = options.load_camera(searched_camera)
+    scene = stored_scene(stored)
     motion = None
     path_error_px = 0.0
     if options.has_motion:
@@ -176,24 +176,6 @@ def audit(options: AuditOptions) -> None:
         outputs=outputs,
         save=save,
     )
-
-
-def _camera(options: AuditOptions, stored: StoredCode) -> Camera:
-    """Return the camera of the options, or else the one that the code.json was searched with."""
-    from cep.optics.camera import Camera
-
-    document = stored.problem.get("camera")
-    if options.camera is not None or document is None:
-        return options.load_camera()
-    try:
-        if not isinstance(document, dict):
-            raise ValueError(f"must be an object, got {type(document).__name__}")
-        camera = Camera.from_dict(document)
-    except ValueError as error:
-        raise ValueError(
-            f"{options.code}: problem.camera: {error}; --camera names another"
-        ) from None
-    return options.load_camera(camera)
 
 
 def _warnings(

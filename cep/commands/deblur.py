@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from cep.files.shot_files import ShotRecord
     from cep.optics.code import ShutterCode
     from cep.restoration.result import Restoration
-    from motdiff.trajectory import Trajectory
-
-_SAME_PX = 1e-3  # distance of paths that differ by the rounding of files alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,6 +287,7 @@ def _restored_together(
 ) -> Restoration:
     """Restore one scene from several photos of one motion, each through its own code."""
     from cep.calibration.photo_checks import check_apart, check_photos, check_times
+    from cep.files.shot_files import stated_motion
     from cep.optics.path_limits import check_resolved
     from cep.restoration.together import restore_together
 
@@ -302,7 +300,7 @@ def _restored_together(
     cameras = [None if record is None else record.noise for record in records]
     if options.has_camera:
         cameras = [options.load_camera()] * len(photos)
-    trajectory = _stated_motion(options.images, records)
+    trajectory = stated_motion(options.images, records)
     if options.has_motion:
         trajectory = options.load_motion().trajectory
     if trajectory is not None:
@@ -318,26 +316,6 @@ def _restored_together(
         seed=options.seed,
         progress=part(tick, 0.02, 0.98),
     )
-
-
-def _stated_motion(
-    images: Sequence[Path], records: Sequence[ShotRecord | None]
-) -> Trajectory | None:
-    """Return the motion that the photos' records have; None where none has one."""
-    motions = [
-        (image, record.trajectory)
-        for image, record in zip(images, records, strict=True)
-        if record is not None and record.trajectory is not None
-    ]
-    from motdiff.metrics import timed_distance_px
-
-    for image, trajectory in motions[1:]:
-        if timed_distance_px(trajectory, motions[0][1]) > _SAME_PX:
-            raise ValueError(
-                f"{image}: its record has another motion than that of {motions[0][0]}; give"
-                " --trajectory"
-            )
-    return motions[0][1] if motions else None
 
 
 def _page(restored: Restoration, options: DeblurOptions) -> Page:

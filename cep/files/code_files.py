@@ -7,7 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from cep.optics.scene import PHOTO, Scene
 from hw.device import DeviceProfile, load_profile
 from motdiff.files.inputs import one_line
 from motdiff.files.json_files import fault, json_text, load_schema, read_versioned
@@ -93,3 +95,29 @@ def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
         raise ValueError(
             f"{source}: {error}; --device NAME|FILE says which shutter it is for"
         ) from None
+
+
+def stored_camera(stored: StoredCode, *, source: str) -> Camera | None:
+    """Return the camera that a code was searched for, None where its file has none.
+
+    Parameters
+    ----------
+    stored : StoredCode
+    source : str
+        Its file, for messages.
+    """
+    document = stored.problem.get("camera")
+    if document is None:
+        return None
+    try:
+        if not isinstance(document, dict):
+            raise ValueError(f"must be an object, got {type(document).__name__}")
+        return Camera.from_dict(document)
+    except ValueError as error:
+        raise ValueError(f"{source}: problem.camera: {error}; --camera names another") from None
+
+
+def stored_scene(stored: StoredCode) -> Scene:
+    """Return the scene that a code was searched for; photographs where its file has none."""
+    document = stored.problem.get("scene")
+    return PHOTO if document is None else Scene(**document)  # checked where the file was read

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,11 +20,13 @@ from motdiff.files.inputs import one_line
 from motdiff.files.json_files import fault, json_text, load_schema, read_versioned, stated_schema
 from motdiff.files.outputs import new_files
 from motdiff.files.trajectories import parse_motion, trajectory_text
+from motdiff.metrics import timed_distance_px
 from motdiff.simulate import to_linear
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 PHOTO_SCHEMA = "cep.photo/1"
+_SAME_PX = 1e-3  # distance of paths that differ by the rounding of files alone
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,6 +168,30 @@ def record_beside(photo: Path | str) -> ShotRecord | None:
         )
     except ValueError as error:
         raise ValueError(f"{path}: {one_line(error)}") from None
+
+
+def stated_motion(
+    photos: Sequence[Path], records: Sequence[ShotRecord | None]
+) -> Trajectory | None:
+    """Return the one motion that the records of photos state; None where none states one.
+
+    Raises
+    ------
+    ValueError
+        If two state different ones; the line names the photos.
+    """
+    motions = [
+        (photo, record.trajectory)
+        for photo, record in zip(photos, records, strict=True)
+        if record is not None and record.trajectory is not None
+    ]
+    for photo, trajectory in motions[1:]:
+        if timed_distance_px(trajectory, motions[0][1]) > _SAME_PX:
+            raise ValueError(
+                f"{photo}: its record has another motion than that of {motions[0][0]}; give"
+                " --trajectory"
+            )
+    return motions[0][1] if motions else None
 
 
 def read_shot(photo: Path | str, record: ShotRecord) -> Photo:
