@@ -57,7 +57,6 @@ _WRONG_PSF = 20.0
 # a PSF that is rather known than estimated gets more credit. On simulated photos:
 # docs/decisions/restoration.md
 _WRONG = 2.0
-_EXPLAINED = 1.7  # up to it the denoiser gains 0.9 dB over TV
 _CREDIT_RESIDUAL = 1.25
 _CREDIT_IMPOSSIBLE = 2.0
 _LITTLE_IMPOSSIBLE = 0.05  # of the photo's standard deviation: more is ringing
