@@ -94,7 +94,7 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
 
     def check(self) -> None:
         """Refuse options that contradict each other, and unknown methods."""
-        method = self.method.replace("auto", "pnp")
+        method = "pnp" if self.method == "auto" else self.method
         find_method(method)
         if sum(source is not None for source in (self.trajectory, self.linear, self.psf)) > 1:
             raise ValueError(

@@ -63,6 +63,14 @@ def test_a_photo_of_a_given_motion_is_never_kept(cep, workplace):
     assert line.startswith("cep: --anyway: not valid here")
 
 
+def test_the_name_of_your_own_module_may_hold_auto(cep, workplace):
+    Path("autodeblur.py").write_text("def automatic(photo, psf):\n    return photo\n")
+    result = cep.succeeds(
+        "deblur", "sharp.png", "--linear", "9", "--method", "autodeblur:automatic"
+    )
+    assert result["method"] == "autodeblur:automatic"
+
+
 def test_one_source_of_the_motion(cep, workplace):
     for extra in (("--trajectory", "trajectory.json"), ("--psf", "psf.npy")):
         line = cep.refuses("deblur", "blurred.png", "--linear", "9", *extra)
