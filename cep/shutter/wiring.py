@@ -78,7 +78,7 @@ def wiring(
     Returns
     -------
     tuple of WiredBoard
-        None where the frames are the shutter.
+        Empty where the frames are the shutter.
 
     Raises
     ------

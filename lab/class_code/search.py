@@ -75,7 +75,7 @@ def optimize_class(
         Chips, limits, light, objective; its scenarios, rule and direction are replaced.
     how : Search
         Of the method "anneal".
-    others : sequence of Trajectory, optional
+    held_out : sequence of Trajectory, optional
         Motions of the same class that the search does not see.
     threads : int, optional
         As many as there are cores when omitted; the code does not depend on it.

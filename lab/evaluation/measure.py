@@ -125,20 +125,24 @@ def measure_estimator(case: Case, estimator: Estimator, *, restore: bool = True)
         If the estimator finds no motion, or none that can be measured.
     """
     began_s = time.process_time()
-    motionresult = estimator.estimate(case.photo)
+    returned = estimator.estimate(case.photo)
     cpu_s = time.process_time() - began_s
-    estimate = as_estimate(motionresult, type(estimator).__name__)
+    estimate = as_estimate(returned, type(estimator).__name__)
     cpu_s += _earlier_cpu_s(estimate)
-    kernel = measure_psf(case, estimate.psf, restore=restore)
+    psf_figures = measure_psf(case, estimate.psf, restore=restore)
     path_mnc, path_px = _path_figures(case, estimate)
-    photo_case = replace(
-        kernel, path_mnc=path_mnc, path_px=path_px, confidence=estimate.confidence, cpu_s=cpu_s
+    figures = replace(
+        psf_figures,
+        path_mnc=path_mnc,
+        path_px=path_px,
+        confidence=estimate.confidence,
+        cpu_s=cpu_s,
     )
     if len(estimate.draws) < 2:
-        return photo_case
+        return figures
     draw_figures = measure_draws(estimate.draws, case.psf)
     return replace(
-        photo_case,
+        figures,
         best_draw=draw_figures.best,
         draws_alike=draw_figures.alike,
         covered=float(draw_figures.covered),

@@ -1,8 +1,8 @@
 """The registered estimators of motion, by name.
 
 To add one: declare it by a :class:`motdiff.estimators.method.Method` in a folder of its own, and
-name it in :data:`METHODS`. The command line, the studio, the citations and the laboratory's
-tables list what is registered here.
+name it in :data:`METHODS`. The command line and the citations list what is registered here; the
+laboratory's tables and the studio's server take every blind one by its name.
 """
 
 from __future__ import annotations

@@ -38,8 +38,8 @@ def coded_figure(
 
     Parameters
     ----------
-    pictured : mapping from design to the arguments of :func:`lab.bench.coded.stages.pictures_of`,
-    at least one
+    pictured : mapping from design to its arguments
+        Of :func:`lab.bench.coded.stages.pictures_of`; at least one design.
     scores : mapping from design to the caption below its restored photo
     linear : bool
         Whether the photo is light, or code values, which are shown unchanged.
