@@ -75,3 +75,10 @@ def test_the_page_lists_the_formats_there_are():
     )
     for name in EXPORTERS:
         assert f"{name}: " in help_of_export()
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/tour.md"])
+def test_the_examples_name_the_formats_there_are(page):
+    lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
+    [example] = [line for line in lines if line.startswith("cep export code.json --format c ")]
+    assert set(EXPORTERS) <= set(example.split()), f"{page}: {example}"

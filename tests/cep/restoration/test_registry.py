@@ -8,6 +8,7 @@ import pytest
 from works import works
 
 from cep.restoration.registry import METHODS, find_method, registered_method
+from cep.restoration.restore import restore
 
 DUMMY = """
 import sys
@@ -39,6 +40,11 @@ def test_a_new_method_is_in_every_list():
     with_camera = ", ".join(name for name, method in METHODS.items() if method.uses_camera)
     assert f"--photons: not valid with --method tv; {with_camera} and dummy use" in run.stderr
     assert "['field1987'] dummy" in run.stdout
+
+
+def test_the_front_door_names_them_all():
+    for name in METHODS:
+        assert f'"{name}"' in restore.__doc__, f"{name}: the docstring lacks it"
 
 
 @pytest.mark.parametrize("name", METHODS)

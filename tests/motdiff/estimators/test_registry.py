@@ -7,6 +7,7 @@ from dataclasses import fields
 
 import pytest
 
+from cep.calibration.calibrate import estimate_motion
 from motdiff.estimators.method import is_needed
 from motdiff.estimators.registry import METHODS, blind_methods, make_method
 
@@ -88,6 +89,11 @@ def test_what_is_declared_is_what_the_estimator_has(name):
     assert getattr(estimator, "smallest_px", method.smallest_px) == method.smallest_px
     assert hasattr(estimator, "estimate_from") >= method.is_blind
     assert getattr(estimator, "method", name) == name
+
+
+def test_the_front_door_names_them_all():
+    for name in METHODS:
+        assert f'"{name}"' in estimate_motion.__doc__, f"{name}: the docstring lacks it"
 
 
 def test_one_that_is_added_stands_in_every_list(tmp_path, pytestconfig):
