@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cep.optics.camera import Camera as CameraProfile
+from cep.optics.camera import Camera as NoiseModel
 from cep.plots.camera import exposure_window_figure
 from cep.plots.canvas import save as save_figure
 from cep.shutter.exposure_fit import ExposureTiming, Flashes
@@ -62,10 +62,10 @@ class TimedCamera:
     frames: int
     warnings: tuple[str, ...] = ()
 
-    def profile(self, measured: CameraProfile | None = None) -> CameraProfile:
+    def profile(self, measured: NoiseModel | None = None) -> NoiseModel:
         """Return a camera with the times, for ``--camera`` of the commands and ``--lead-in``."""
         timing = self.timing
-        base = measured or CameraProfile(name=self.camera, source="noise not measured")
+        base = measured or NoiseModel(name=self.camera, source="noise not measured")
         return replace(
             base,
             name=base.name or self.camera,

@@ -16,6 +16,18 @@ from cep.search.objective import Objective, continuum_minimum
 from cep.search.problem import SearchProblem
 from motdiff.types import BoolArray, FloatArray
 
+Codes = NDArray[np.int8]
+
+EQUAL_DB = 1e-7
+"""Figures as close are equal: those of a code and its mirror image agree only up to rounding."""
+
+# what coarse samples may make of the minimum, in float32, and of the noise
+_SLACK_DB = np.array([1e-3, 0.05])
+_SAMPLES = 1024  # of coarse ones on the unit circle, or 8 a chip
+_JUDGED = 32  # codes at once
+_SWAPS = 4096  # neighbours of a code that are looked at
+_NUMBERS = 2**22  # evaluated at once: 16 MB
+
 
 @dataclass(frozen=True)
 class FrontPoint:
@@ -142,20 +154,6 @@ def knees(front: Front) -> dict[str, FrontPoint]:
         "compromise": max(front.points, key=worth),
         "most light": max(front.points, key=lambda p: (p.open_chips, worth(p))),
     }
-
-
-Codes = NDArray[np.int8]
-
-EQUAL_DB = 1e-7
-"""Figures as close are equal: those of a code and its mirror image agree only up to rounding."""
-
-_SLACK_DB = np.array(
-    [1e-3, 0.05]
-)  # what coarse samples may make of the minimum, in float32, and of the noise
-_SAMPLES = 1024  # of coarse ones on the unit circle, or 8 a chip
-_JUDGED = 32  # codes at once
-_SWAPS = 4096  # neighbours of a code that are looked at
-_NUMBERS = 2**22  # evaluated at once: 16 MB
 
 
 class Judge:
