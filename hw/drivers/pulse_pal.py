@@ -121,9 +121,8 @@ class PulsePalLink:
                 f"{self.name} is a Pulse Pal of model 1 (firmware {firmware}): model 2 is needed"
             )
         self.firmware = firmware
-        if (
-            firmware > 21
-        ):  # until then the op meant something else, and there were no other cycles than 50 us
+        # until then the op meant something else, and there were no other cycles than 50 us
+        if firmware > 21:
             self._port.write(bytes([_MENU, _Op.INFO]))
             cycle_us = struct.unpack("<BIBI", self._take(10, "INFO", self.timeout_s))[1]
             if cycle_us != 50:

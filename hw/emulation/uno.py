@@ -324,9 +324,8 @@ def build_board() -> Path:
         )
         if build.returncode:
             raise EmulationError(_reason(build.stderr))
-        os.replace(
-            Path(folder, board.name), board
-        )  # two that compile at once end with the same whole file
+        # two that compile at once end with the same whole file
+        os.replace(Path(folder, board.name), board)
     return board
 
 

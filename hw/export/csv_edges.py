@@ -45,8 +45,7 @@ class CsvEdges(Exporter):
         rows = [line.split(",") for line in text.partition(f"\n{_COLUMNS}\n")[2].splitlines()]
         # decimals: a float would round long times
         edges = [(int(Decimal(time_us) * 1000), int(level)) for time_us, level in rows]
-        if (
-            len(edges) % 2
-        ):  # an odd count: the last row only marks the end of trailing closed chips
+        # an odd count: the last row only marks the end of trailing closed chips
+        if len(edges) % 2:
             edges.pop()
         return Program.from_edges(edges, chip_ns=chip_ns, chips=chips)

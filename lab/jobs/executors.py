@@ -211,9 +211,8 @@ def _of_these_sources(
 
 
 def _begin_worker(parent: int) -> None:
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # a terminal sends Ctrl-C here too; joblib ends this process
+    # a terminal sends Ctrl-C here too; joblib ends this process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent(parent)
 
 

@@ -55,11 +55,8 @@ def _processor() -> str:
 def _memory_gib() -> float | None:
     try:
         return round(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30, 1)
-    except (
-        AttributeError,
-        ValueError,
-        OSError,
-    ):  # Windows has no sysconf, other systems not all names
+    # Windows has no sysconf, other systems not all names
+    except (AttributeError, ValueError, OSError):
         return None
 
 

@@ -73,9 +73,8 @@ def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict
     odd = without_faint_light(in_frame(psf[None], ODD_PX), below=0.02)[0]
     sharpened = refined(crops, odd / odd.sum(), sigma)
     chances = samples.path[0, 0].numpy()
-    path = trace_map(
-        chances > min(0.5, 0.5 * float(chances.max()))
-    )  # a lost guess is sure of no pixel
+    # a lost guess is sure of no pixel
+    path = trace_map(chances > min(0.5, 0.5 * float(chances.max())))
     return {
         "kernel": simplest_trajectory(without_faint_parts(psf)),
         "map": fit_dwell(path, psf),

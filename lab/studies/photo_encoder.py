@@ -75,9 +75,8 @@ def measured(trainer: Trainer, batches: list[Batch]) -> tuple[float, np.ndarray]
     network = trainer.average
     assert isinstance(network, MotDiffNetwork)
     sampler = deepcopy(network)
-    sampler.denoiser.output[1].bias[0] -= math.log(
-        trainer.config.loss.path_weight + 1
-    )  # as when exported
+    # as when exported
+    sampler.denoiser.output[1].bias[0] -= math.log(trainer.config.loss.path_weight + 1)
     blank = trainer.config.data.physics_dropout == _BLANKED
     losses: list[float] = []
     scores: list[list[list[float]]] = [[] for _ in _STEPS]

@@ -104,9 +104,8 @@ class Player:
         """Take received bytes and return the bytes to send, often none."""
         out = b""
         for byte in data:
-            if (
-                byte == 10 or byte == 13
-            ):  # a carriage return alone ends a line too: terminals send it
+            # a carriage return alone ends a line too: terminals send it
+            if byte == 10 or byte == 13:
                 if self._line:
                     out += self._answer(bytes(self._line))
                     self._line = bytearray()
@@ -147,9 +146,8 @@ class Player:
     def _close(self, state: int) -> None:
         playing = self.state != _ARMED or self.shutter.begun()
         self.shutter.close()
-        if state == _DONE or not (
-            playing or self.shutter.begun()
-        ):  # a trigger may have come in between
+        # a trigger may have come in between
+        if state == _DONE or not (playing or self.shutter.begun()):
             self.owed_us = 0
         self.state = state
 
@@ -235,9 +233,8 @@ class Player:
     def _arm(self, lease_ms: int) -> int:
         if not lease_ms:
             return _OUT_OF_RANGE
-        if (
-            self.state != _ARMED
-        ):  # a new lease must not disturb a trigger that comes this very moment
+        # a new lease must not disturb a trigger that comes this very moment
+        if self.state != _ARMED:
             if self.owed_us:
                 return _DUTY_LIMIT
             ticks, chips = self._timing()

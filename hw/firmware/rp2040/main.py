@@ -57,9 +57,8 @@ def _serve(player, watchdog, registers):  # type: ignore[no-untyped-def]
             return
         before = byte
         reply = player.feed(byte)
-        _save(
-            player, registers
-        )  # a host that does not fetch the reply could hold it up until the reset
+        # a host that does not fetch the reply could hold it up until the reset
+        _save(player, registers)
         if reply:
             sys.stdout.buffer.write(reply)
 

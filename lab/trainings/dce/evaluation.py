@@ -115,9 +115,8 @@ def evaluate(
         for name, code in codes.items():
             psf = coded_psf(motion, code, PSF_PX)
             rng = np.random.default_rng([seed, number, 1])  # the same draw for every code
-            photo = photograph(
-                scene, psf, rng=rng, read_sigma=sigma, record=np.asarray
-            )  # not clipped, as in training
+            # not clipped, as in training
+            photo = photograph(scene, psf, rng=rng, read_sigma=sigma, record=np.asarray)
             by_wiener = wiener(photo, psf, noise_variance=sigma**2)
             by_network = restore(photo, code=code, path=weights)
             scores[name].append(
