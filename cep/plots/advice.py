@@ -72,5 +72,6 @@ def advice_figure(advice: Advice) -> Figure:
         "shaded: a code pays" if advice.crossover else "a code pays at none of these", fontsize=10
     )
     axes.grid(alpha=0.3)
-    axes.legend(fontsize=9)
+    if axes.get_legend_handles_labels()[0]:  # a shutter may leave no other way than to be open
+        axes.legend(fontsize=9)
     return figure

@@ -7,6 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
+from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.plots import (
     COLOURS,
@@ -20,6 +21,9 @@ from cep.plots import (
     save,
     trajectory_figure,
 )
+from cep.plots.advice import advice_figure
+from cep.search.advise import advise
+from cep.search.problem import SearchProblem
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -196,3 +200,17 @@ def test_pyplot_is_never_loaded():
         " 'matplotlib.figure' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("open_range", "names"),
+    [((1, 6), {"best single exposure", "best code"}), ((6, 6), set())],
+    ids=["any code", "open alone"],
+)
+def test_gains_over_the_light_name_the_ways_that_the_limits_leave(open_range, names):
+    problem = SearchProblem.along(
+        Trajectory.straight(6.0), chips=6, camera=Camera(read_noise_e=5), open_range=open_range
+    )
+    (axes,) = advice_figure(advise(problem, levels=[1000.0, 10_000.0])).axes
+    legend = axes.get_legend()
+    assert names == ({text.get_text() for text in legend.get_texts()} if legend else set())
