@@ -79,6 +79,25 @@ def test_register_shift_undoes_a_shift(dx: float, dy: float, size: int) -> None:
     assert register_shift(a, b) == pytest.approx((dx, dy), abs=0.051)
 
 
+@pytest.mark.parametrize(
+    ("a_px", "b_px"), [((40, 40), (65, 65)), ((64, 64), (33, 33)), ((34, 51), (60, 37))]
+)
+def test_frames_are_registered_by_their_centres(
+    a_px: tuple[int, int], b_px: tuple[int, int]
+) -> None:
+    """One pair of blobs, in frames of any height and width."""
+
+    def blobs(shape: tuple[int, int], dx: int, dy: int) -> np.ndarray:
+        image = np.zeros(shape)
+        row, column = shape[0] // 2 + dy, shape[1] // 2 + dx
+        image[row, column] = 2.0
+        image[row + 3, column - 4] = 1.0
+        return ndimage.gaussian_filter(image, 1.5)
+
+    a, b = blobs(a_px, 2, -1), blobs(b_px, -3, 4)
+    assert register_shift(a, b) == pytest.approx((5, -5), abs=0.051)
+
+
 @pytest.mark.parametrize("bad", [np.zeros((3, 3)), np.ones(3), np.full((3, 3), np.nan)])
 def test_mnc_refuses_what_is_no_psf(bad: np.ndarray) -> None:
     with pytest.raises(ValueError, match="psf_b"):

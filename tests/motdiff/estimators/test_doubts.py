@@ -117,6 +117,21 @@ def test_a_spot_found_in_a_photo_of_wide_edges_is_lost_and_no_proof():
     assert "motion_blur" not in found.details
 
 
+@pytest.mark.parametrize(("confidence", "shows_motion"), [(0.8, True), (0.3, False)])
+def test_a_kernel_somewhat_wider_than_a_lenss_spot_is_one_only_where_the_search_is_lost(
+    confidence, shows_motion
+):
+    """It gives edges 3 px wide, and the photo has some of 2 px; those of a Gaussian are
+    sqrt(2 pi) sigma wide, a little more on pixels."""
+    y, x = np.mgrid[-32:32, -32:32]
+    spot = np.exp(-(x**2 + y**2) * np.pi / 2.4**2)
+    sharp = ndimage.gaussian_filter(discs(), np.sqrt(1.9**2 / (2 * np.pi) - 0.5**2))
+    found = judged(
+        sharp, estimate_of(Trajectory.straight(3.0), confidence=confidence, psf=spot / spot.sum())
+    )
+    assert found.details.get("motion_blur", True) is shows_motion
+
+
 # -- widths of edges ------------------------------------------------------------------------------
 
 

@@ -181,6 +181,17 @@ def test_links_stay_and_what_they_lead_to_is_replaced(tmp_path):
         claim([link])
 
 
+def test_an_error_without_a_name_gets_the_one_that_was_given_not_what_its_link_leads_to(tmp_path):
+    target = tmp_path / "target.txt"
+    link = tmp_path / "link.txt"
+    target.write_text("old")
+    link.symlink_to(target)
+    with pytest.raises(OSError, match="No space left") as caught, new_file(link):
+        raise OSError(errno.ENOSPC, "No space left on device")  # as a library's, of no file
+    assert caught.value.filename == str(link)
+    assert target.read_text() == "old"
+
+
 def test_a_folder_keeps_nothing_of_an_earlier_run(tmp_path):
     for name in ("a", "b", "mine"):
         (tmp_path / name).write_text("old")

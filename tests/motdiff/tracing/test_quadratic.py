@@ -6,7 +6,7 @@ from lab.evaluation.metrics import ordered_distance_px
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.tracing import simplest_trajectory, trace_psf_to_trajectory
-from motdiff.tracing.quadratic import quadratic_of_psf
+from motdiff.tracing.quadratic import QuadraticPath, quadratic_of_psf
 from motdiff.trajectory import Trajectory
 
 
@@ -79,3 +79,11 @@ def test_turned_psfs_have_turned_paths():
     psf = psf_of(truth)[1:, 1:]  # odd: a quarter turn about its middle pixel
     upright, turned = (quadratic_of_psf(p).trajectory() for p in (psf, np.rot90(psf)))
     assert turned.length_px == pytest.approx(upright.length_px, rel=1e-2)
+
+
+@pytest.mark.parametrize("bad", [[1.0], [1.0, 2.0, 3.0], [5.0, np.nan], [np.inf, 0.0]])
+def test_a_quadratic_path_needs_two_finite_numbers_each(bad):
+    with pytest.raises(ValueError, match="a: must be two finite numbers"):
+        QuadraticPath(bad, [0.0, 0.0])
+    with pytest.raises(ValueError, match="b: must be two finite numbers"):
+        QuadraticPath([5.0, 0.0], bad)
