@@ -1,6 +1,6 @@
 import pytest
 
-from hw.device import DeviceProfile, load_profile, parse_profile, profile_names
+from hw.device import DeviceProfile, load_profile, parse_profile, profile_names, refusal
 from hw.program import Program
 from hw.recordings.capture import read_capture
 
@@ -196,3 +196,14 @@ def test_a_profile_with_the_mark_of_windows_editors(tmp_path):
     plain.write_text('schema = "hw.device/1"\nname = "mine"\ntick_ns = 500\n')
     marked.write_bytes(b"\xef\xbb\xbf" + plain.read_bytes())
     assert load_profile(str(marked)) == load_profile(str(plain))
+
+
+@pytest.mark.parametrize("name", profile_names())
+def test_a_refusal_names_a_profile_only_where_the_device_says_its_tick_and_its_chips(name):
+    """Of a device that does not say how many chips it holds, the tick alone tells no profile."""
+    profile = load_profile(name)
+    silent = DeviceProfile(name="board", tick_ns=profile.tick_ns)
+    assert refusal(["board: too long"], silent) == "program cannot be played: board: too long"
+    if profile.max_chips is not None:
+        board = DeviceProfile(name="board", tick_ns=profile.tick_ns, max_chips=profile.max_chips)
+        assert refusal(["board: too long"], board).endswith(f"with --device {name}")
