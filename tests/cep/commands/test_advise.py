@@ -186,6 +186,16 @@ def test_a_photo_of_the_scene_is_what_gains_are_measured_on(cep, workplace):
     assert "a model of belt.png" in audited["verdict"]
 
 
+def test_where_one_speed_is_too_fast_to_be_measured_no_photo_is_too_small(cep, workplace):
+    """Gains are then those of the photo's model, for which any of its parts will do."""
+    write_image("belt.png", photographs()[3])
+    fast = ("--linear", "120", "--speed", "0.9:1.1", "--chips", "8", "--read-noise", "50")
+    best = cep.succeeds("optimize", *fast, "--steps", "500", "--scene", "belt.png", "-o", "a.json")
+    assert "a model of belt.png" in best["verdict"]
+    slow = ("--linear", "100", *fast[2:])
+    assert "too small" in cep.refuses("optimize", *slow, "--scene", "belt.png")
+
+
 def test_named_scenes_are_those_of_the_help_page_and_a_models(cep, workplace):
     assert cep("advise", "--help").code == 0
     page = " ".join(cep.out.split())

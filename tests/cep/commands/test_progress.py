@@ -17,8 +17,11 @@ import pytest
 import cep.commands
 from cep.commands.console import progress
 from cep.commands.main import main
-from cep.files.images import write_image
+from cep.files.images import read_photo, write_image
+from cep.optics.capture import capture
+from cep.optics.code import ShutterCode
 from motdiff.estimators.base import MotionEstimate
+from motdiff.files.trajectories import read_motion
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
@@ -113,7 +116,7 @@ def told(monkeypatch):
         bars.append([])
         yield lambda share, _what="", /: bars[-1].append(share)
 
-    for name in ("calibrate", "optimize", "demo"):
+    for name in ("calibrate", "deblur", "optimize", "demo"):
         monkeypatch.setattr(f"cep.commands.{name}.progress", progress)
     return bars
 
@@ -189,6 +192,35 @@ def test_the_share_of_a_folder_counts_its_photos(cep, workplace, told, quick_bli
     cep.succeeds("calibrate", "shots", "--workers", "1")
     (shares,) = told
     assert shares == pytest.approx([0, 1 / 3, 2 / 3, 1])
+
+
+def test_the_share_of_photos_restored_together_rises_to_one(cep, workplace, told):
+    code = "1101000101101111"
+    path = read_motion("trajectory.json").trajectory
+    for name, bits in (("a.png", code), ("b.png", code.translate(str.maketrans("01", "10")))):
+        photo = capture(
+            read_photo("sharp.png").pixels[:112, :112],
+            path,
+            ShutterCode(bits),
+            rng=np.random.default_rng(ord(name[0])),
+        )
+        write_image(name, photo, bits=16)
+    cep.succeeds(
+        "deblur",
+        "a.png",
+        "b.png",
+        "--code",
+        code,
+        "--code",
+        f"complement:{code}",
+        "--trajectory",
+        "trajectory.json",
+        "-o",
+        "c.png",
+    )
+    (shares,) = told
+    rises(shares)
+    assert shares[1] > 0  # reading the photos is work too
 
 
 class Terminal(io.StringIO):

@@ -14,7 +14,7 @@ from cep.optics.camera import Camera
 from cep.report.chain import STANDARD_CAMERA, run_chain
 from cep.report.page import DEMO_FILES, PICTURE_FILES, html, write_demo
 from cep.report.scene import Scene, bundled_scene, find_motion
-from hw.device import load_profile
+from hw.device import DeviceProfile, load_profile
 from hw.export import EXPORTERS
 from motdiff.files.trajectories import read_motion, stated_uncertainty_px
 from motdiff.metrics import timed_distance_px
@@ -89,6 +89,26 @@ def test_no_code_outside_the_devices_limits(plain):
         chain.problem.allows(shot.exposure.code) for shot in chain.shots if shot.kind != "open"
     )
     assert "mechanical-fast" in html(chain)
+
+
+@pytest.mark.parametrize(
+    ("limits", "kinds"),
+    [({"max_pulses": 1}, ["open", "snapshot"]), ({"min_on_ns": 32_000_000}, ["open"])],
+    ids=["opens once", "opens for all of it"],
+)
+def test_where_the_device_leaves_no_code_the_other_ways_are_shown(plain, limits, kinds):
+    device = DeviceProfile(name="slow-shutter", tick_ns=1, **limits)
+    chain = run_chain(
+        bundled_scene(PLAIN, rng=np.random.default_rng(0), side_px=128),
+        PLAIN,
+        motion=plain.motion,
+        levels=LEVELS,
+        chips=8,
+        device=device,
+        exposure_s=0.032,
+    )
+    assert [shot.kind for shot in chain.shots] == kinds
+    assert chain.code is None
 
 
 @pytest.mark.slow  # a calibration of four photos

@@ -127,12 +127,13 @@ def test_an_error_of_the_path_costs_long_exposures_more_than_short_ones():
     assert code[0] - code[-1] > 1.0 > snapshot[0] - snapshot[-1]
 
 
-def test_the_filter_that_knows_the_error_does_as_expected_on_other_paths():
+@pytest.mark.parametrize("path", [BENT, Trajectory.straight(12.0)], ids=["bent", "straight"])
+def test_the_filter_that_knows_the_error_does_as_expected_on_other_paths(path):
     """Monte Carlo with paths of its own: the filter of the mean and the scatter has the error that
     is expected."""
     error_px = 0.4
     code = CODES[0]
-    path = replace(BENT, direction="known")
+    path = replace(path, direction="known")
     expected = expected_psnr_db(
         problem(path), [code], noise=[light_noise(CAMERA, [code])], path_error_px=error_px
     )[0, 0]

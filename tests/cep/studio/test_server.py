@@ -350,6 +350,16 @@ def test_hostile_requests_are_refused_and_leave_nothing(client, keys):
     assert client.get("/").status_code == 200
 
 
+@pytest.mark.parametrize("length", [7, 8, 64, 65])
+def test_a_page_has_a_name_of_8_to_64_letters_and_digits(client, length):
+    answer = client.post("/api/stop", json={"page": "a" * length})
+    if 8 <= length <= 64:
+        assert answer.status_code < 300
+    else:
+        assert answer.status_code == 422
+        assert "8 to 64 letters and digits" in answer.text
+
+
 HUGE = json.loads("[" + "9" * 400 + ', 1e999, NaN, "\\ud800", [[]], {"a": {}}, true]')
 
 

@@ -1,6 +1,7 @@
 """The compiled loops: costs against the plain arithmetic, moves against the limits."""
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from cep.search.annealing.cooling import (
     total_cost,
     worst_first,
 )
-from cep.search.annealing.proposals import LoopLimits
+from cep.search.annealing.proposals import LoopLimits, draw_blocks
 from cep.search.annealing.terms import lay_out, work_space
 from cep.search.limits import RunLimits
 from cep.search.objective import Objective
@@ -144,6 +145,40 @@ def test_cooling_keeps_limits_and_books(name, objective):
         assert smallest_power(tables, chain.otf) == pytest.approx(
             chain.deepest_power[0], rel=1e-3, abs=1e-4
         )
+
+
+@pytest.mark.parametrize(
+    ("light", "runs"),
+    [
+        ((3, 6), RunLimits(min_open=2, min_closed=2)),
+        ((2, 5), RunLimits(max_pulses=3)),
+        ((4, 4), RunLimits(max_open=3)),
+        ((2, 6), RunLimits(min_period=4)),
+    ],
+)
+def test_moves_under_run_limits_lead_to_every_code_that_keeps_them(light, runs):
+    chips = 10
+    problem = SearchProblem(chips=chips, open_range=light, runs=runs)
+    codes = np.array(list(product((0, 1), repeat=chips)), dtype=np.int8)
+    allowed = {code.tobytes() for code in codes[problem.satisfied(codes)]}
+    code = problem.random_codes(1, rng=np.random.default_rng(0))[0].astype(np.int8)
+    random = np.array([77], np.uint64)
+    trial = code.copy()
+    changed = np.zeros(chips, np.int64)
+    reached = {code.tobytes()}
+    for _ in range(60 * len(allowed)):
+        count = draw_blocks(
+            code,
+            np.ones(chips, bool),
+            LoopLimits.of(problem),
+            int(code.sum()),
+            random,
+            trial,
+            changed,
+        )
+        code[changed[:count]] ^= 1
+        reached.add(code.tobytes())
+    assert reached == allowed
 
 
 def chain_from(problem, tables, code, *, moves, seed, temperatures_db=(0.5, 0.1)):
