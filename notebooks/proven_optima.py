@@ -117,7 +117,7 @@ def best_of(chips):
 
 for chips in (8, 10, 12):
     proven = best_of(chips)
-    assert proven.found.stopped == "proven"
+    assert proven.search.stopped == "proven"
     assert abs(proven.certificate.lower - by_hand[chips]) < 1e-5
 
 # %% [markdown]

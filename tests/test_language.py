@@ -21,7 +21,7 @@ VAGUE = frozenset(WORDS.split())
 MOST = {
     "cep/calibration": 1,
     "cep/proofs": 1,
-    "cep/search": 6,
+    "cep/search": 5,
     "lab/bench": 4,
     "lab/block_proofs": 29,
     "lab/fronts": 1,

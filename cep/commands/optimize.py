@@ -21,7 +21,7 @@ from cep.commands.console import Page, Table, announce, finish, progress
 from cep.commands.options import MOTION, CommonOptions, MotionOptions, command, option
 
 if TYPE_CHECKING:
-    from cep.search.optimize import Optimum
+    from cep.search.optimize import OptimizedCode
     from cep.search.problem import Scenario, SearchProblem
     from motdiff.files.trajectories import StoredMotion
 
@@ -116,10 +116,10 @@ def optimize(options: OptimizeOptions) -> None:
     Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
     """
     with progress("counting codes" if options.method == "exact" else "searching") as tick:
+        from cep.search.code_search import SearchOptions
         from cep.search.optimize import checked_motion
         from cep.search.optimize import optimize as search_code
         from cep.search.problem import SearchProblem
-        from cep.search.search import Search
         from motdiff.files.outputs import claim
 
         stored = options.load_motion()
@@ -134,7 +134,7 @@ def optimize(options: OptimizeOptions) -> None:
             "time_s": options.time_s,
             "seed": options.seed,
         }
-        Search(**how)  # for its checks alone
+        SearchOptions(**how)  # for its checks alone
         if isinstance(problem, SearchProblem):
             checked_motion(problem, stored.trajectory)
         outputs = claim(
@@ -173,13 +173,13 @@ def optimize(options: OptimizeOptions) -> None:
     )
 
 
-def _page(best: Optimum, file: Path) -> Page:
+def _page(best: OptimizedCode, file: Path) -> Page:
     """Lay a search and its comparison out for people."""
     from cep.files.formatting import duration, number
     from cep.search.chip_count import in_words_of_chips
 
     code = best.code
-    search = best.found
+    search = best.search
     modulus, figure, head = ("|H|", "min_mtf", "min MTF")
     if best.along is None:  # a straight motion's minimum is that of the code's polynomial
         modulus, figure, head = ("|P|", "min_chip", "min |P|, chips")

@@ -5,10 +5,10 @@ code. What else is here, in the order in which it is used:
 
 problem
     ``limits`` of a code, and which conflict (``sampling``: random codes within them;
-    ``playable``: those of a device), ``objectives`` by name, ``objective``: their cost of codes.
+    ``playable``: those of a device), ``objectives`` by name, ``cost`` of codes by them.
 search
     ``baselines``, what would be used instead; ``annealing`` or ``exhaustive``, and ``optima``
-    proven before; ``search`` joins them. ``bounds``: what no code can exceed.
+    proven before; ``code_search`` joins them. ``bounds``: what no code can exceed.
 verdict
     ``ways`` to expose, judged by the restoration ``expected`` of a model and ``measured`` on
     photographs; ``verdict`` at one level of light, ``advise`` over the light, ``chip_count``.

@@ -18,8 +18,8 @@ from cep.files.tables import markdown_table
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import CodeMetrics
 from cep.search.annealing.anneal import anneal
+from cep.search.cost import FINE, CodeCost
 from cep.search.limits import Limits, RunLimits
-from cep.search.objective import FINE, Objective
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -171,7 +171,7 @@ def find_baselines(
     problem: SearchProblem,
     *,
     rng: np.random.Generator,
-    judge: Objective | None = None,
+    judge: CodeCost | None = None,
     length_px: float | None = None,
     time_s: float = math.inf,
     threads: int | None = None,
@@ -184,7 +184,7 @@ def find_baselines(
         Its limits are kept by the length-only and the random code, and by the snapshot and the
         strobe that say so.
     rng : numpy Generator
-    judge : Objective, optional
+    judge : CodeCost, optional
         Of the problem, finely sampled; made here when omitted.
     length_px : float, optional
         Of the path, for the length-only code; :func:`mean_length_px` of the problem when omitted.
@@ -206,14 +206,14 @@ def find_baselines(
     searched as the DNF methods do: for a uniform straight motion of the path's length, least
     noise. The random code is the middle one of 15 by the objective.
     """
-    judge = judge or Objective(problem, **FINE)
+    judge = judge or CodeCost(problem, **FINE)
 
     def baseline(name: str, code: ShutterCode, *, stopped_early: bool = False) -> Baseline:
         allowed = problem.allows(code)
         return Baseline(name, code, allowed, stopped_early, cost_db=judge.exact_cost(code))
 
     yield baseline("open shutter", ShutterCode("1" * problem.chips))
-    coarse = Objective(problem, oversampling=_COARSE)
+    coarse = CodeCost(problem, oversampling=_COARSE)
     for name, best in (("best snapshot", best_snapshot), ("best strobe", best_strobe)):
         free = best(coarse)
         if free is None:  # two pulses do not fit
@@ -251,7 +251,7 @@ def mean_length_px(problem: SearchProblem) -> float:
 
 
 def median_random_code(
-    objective: Objective, count: int, *, rng: np.random.Generator
+    code_cost: CodeCost, count: int, *, rng: np.random.Generator
 ) -> ShutterCode:
     """Draw ``count`` codes within the limits, all equally likely: the one of the median cost.
 
@@ -264,12 +264,12 @@ def median_random_code(
     """
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
-    codes = objective.problem.random_codes(count, rng=rng)
-    order = np.argsort(_costs(objective, codes), kind="stable")
+    codes = code_cost.problem.random_codes(count, rng=rng)
+    order = np.argsort(_costs(code_cost, codes), kind="stable")
     return ShutterCode.from_array(codes[order[count // 2]])
 
 
-def best_snapshot(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
+def best_snapshot(code_cost: CodeCost, *, within_limits: bool = False) -> ShutterCode | None:
     """Find the best single open run, of any length and anywhere in the exposure.
 
     With the objective "mse" its length is the one of least noise for the problem's camera. Every
@@ -278,7 +278,7 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
 
     Parameters
     ----------
-    objective : Objective
+    code_cost : CodeCost
     within_limits : bool
         Whether it must keep the problem's limits.
 
@@ -287,13 +287,13 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
     ShutterCode or None
         None where no single run keeps the limits.
     """
-    n = objective.problem.chips
-    limits = objective.problem.limits if within_limits else Limits(n, (1, n))
+    n = code_cost.problem.chips
+    limits = code_cost.problem.limits if within_limits else Limits(n, (1, n))
     fits = _fitting_runs(limits)
     lengths = np.flatnonzero(fits.any(axis=1))
     most_lengths = _LENGTHS
     most_starts = _STARTS
-    if np.count_nonzero(fits) * objective.rows.size <= _ALL_RUNS_WORK:
+    if np.count_nonzero(fits) * code_cost.rows.size <= _ALL_RUNS_WORK:
         most_lengths = most_starts = n + 1
     runs = [
         (int(start), int(start + length))
@@ -307,7 +307,7 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
     while runs:
         firsts, stops = np.array(runs).T
         codes = ((chip >= firsts[:, None]) & (chip < stops[:, None])).astype(np.int8)
-        costs = _costs(objective, codes)
+        costs = _costs(code_cost, codes)
         if costs.min() >= lowest:
             break
         best = runs[int(costs.argmin())]
@@ -323,7 +323,7 @@ def best_snapshot(objective: Objective, *, within_limits: bool = False) -> Shutt
     return ShutterCode("0" * best[0] + "1" * (best[1] - best[0]) + "0" * (n - best[1]))
 
 
-def best_strobe(objective: Objective, *, within_limits: bool = False) -> ShutterCode | None:
+def best_strobe(code_cost: CodeCost, *, within_limits: bool = False) -> ShutterCode | None:
     """Find the best periodic pulses: ``width`` chips open of every ``period``, two or more.
 
     The first pulse begins with the exposure and the last is cut off with it. Every period and
@@ -332,7 +332,7 @@ def best_strobe(objective: Objective, *, within_limits: bool = False) -> Shutter
 
     Parameters
     ----------
-    objective : Objective
+    code_cost : CodeCost
     within_limits : bool
         Whether it must keep the problem's limits. Then the pulses are whole, and may be fewer than
         there is time for.
@@ -342,11 +342,11 @@ def best_strobe(objective: Objective, *, within_limits: bool = False) -> Shutter
     ShutterCode or None
         None where two pulses do not fit, or no strobe that was tried keeps the limits.
     """
-    problem = objective.problem
+    problem = code_cost.problem
     codes = _strobes_within(problem) if within_limits else _strobes(problem.chips)
     if not len(codes):
         return None
-    return ShutterCode.from_array(codes[int(_costs(objective, codes).argmin())])
+    return ShutterCode.from_array(codes[int(_costs(code_cost, codes).argmin())])
 
 
 def dnf_problem(
@@ -436,8 +436,8 @@ def evenly_some(values: NDArray[np.intp], count: int) -> NDArray[np.intp]:
     ]
 
 
-def _costs(objective: Objective, codes: Codes) -> FloatArray:
-    step = max(1, _BATCH // objective.rows[0].size)
+def _costs(code_cost: CodeCost, codes: Codes) -> FloatArray:
+    step = max(1, _BATCH // code_cost.rows[0].size)
     return np.concatenate(
-        [objective.cost_of(codes[i : i + step]) for i in range(0, len(codes), step)]
+        [code_cost.cost_of(codes[i : i + step]) for i in range(0, len(codes), step)]
     )

@@ -20,19 +20,19 @@ from cep.proofs.measure import CodeMetrics
 from cep.search.baselines import Comparison, compare, mean_length_px
 from cep.search.bounds import bound
 from cep.search.chip_count import ChipCount, choose_chips
-from cep.search.exhaustive.exact import codes_to_count
-from cep.search.objective import FINE, Objective
-from cep.search.playable import unplayable
-from cep.search.problem import SearchProblem
-from cep.search.search import (
+from cep.search.code_search import (
     NO_TIME_S,
-    Search,
-    SearchOutcome,
+    SearchOptions,
+    SearchResult,
     described_search,
     ended_early,
-    search,
+    search_code,
     searched_problem,
 )
+from cep.search.cost import FINE, CodeCost
+from cep.search.exhaustive.exact import codes_to_count
+from cep.search.playable import unplayable
+from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict, verdict
 from cep.search.ways import WayFinder, check_light
 from motdiff.trajectory import Trajectory
@@ -47,14 +47,14 @@ Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
-class Optimum:
+class OptimizedCode:
     """A searched code and what it is worth.
 
     Attributes
     ----------
     problem : SearchProblem
-    how : Search
-    found : SearchOutcome
+    how : SearchOptions
+    search : SearchResult
         The search or the proof: cost, moves, seconds, and what ended it.
     comparison : Comparison
         The code first, then what would be used instead of it.
@@ -76,8 +76,8 @@ class Optimum:
     """
 
     problem: SearchProblem
-    how: Search
-    found: SearchOutcome
+    how: SearchOptions
+    search: SearchResult
     comparison: Comparison
     verdict: Verdict
     along: Trajectory | None
@@ -100,7 +100,7 @@ class Optimum:
     @property
     def warnings(self) -> tuple[str, ...]:
         """Warnings, one sentence each."""
-        outcome = self.found
+        outcome = self.search
         moves = self.how.moves(searched_problem(self.problem))
         early = [row.name for row in self.comparison if row.stopped_early]
         if not (outcome.stopped == "interrupted" or self.how.method == "exact" or moves):
@@ -126,7 +126,7 @@ class Optimum:
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep optimize --json`` prints them."""
         code = self.code
-        outcome = self.found
+        outcome = self.search
         return {
             "verdict": self.verdict.sentence,
             "choice": self.verdict.choice,
@@ -172,7 +172,7 @@ class Optimum:
         source : mapping, optional
             Where the motion comes from, for the file's description of the problem.
         """
-        about = {**(source or {}), **_described(self.problem, self.how, self.found)}
+        about = {**(source or {}), **_described(self.problem, self.how, self.search)}
         write_code(
             path,
             StoredCode(self.code, self.metrics.to_dict(), about, self.certificate.to_dict()),
@@ -214,7 +214,7 @@ def optimize(
     progress: Progress = lambda _share, _note: None,
     on_found: Callable[[StoredCode], None] = lambda _stored: None,
     on_best: Callable[[ShutterCode], None] = lambda _code: None,
-) -> Optimum:
+) -> OptimizedCode:
     """Search the best code along a problem's motions, certify it, and compare it with others.
 
     No code of the comparison that keeps the problem's limits is better by its objective. Whether
@@ -227,7 +227,7 @@ def optimize(
         :func:`cep.search.chip_count.choose_chips`. After Ctrl-C within that choice the best of the
         codes to start from and to compare with is returned.
     method, steps, time_s, seed
-        As of :class:`Search`. The choice of the number of chips is within the time.
+        As of :class:`SearchOptions`. The choice of the number of chips is within the time.
     start : sequence of ShutterCode
         Codes to start an annealing from, besides those that the code is compared with.
     along : Trajectory, optional
@@ -261,10 +261,10 @@ def optimize(
     --------
     >>> problem = SearchProblem.along(Trajectory.straight(16.0), chips=16, open_range=(8, 8))
     >>> best = optimize(problem, method="exact")
-    >>> best.code.bits, best.found.stopped
+    >>> best.code.bits, best.search.stopped
     ('1010111100100100', 'proven')
     """
-    how = Search(method=method, steps=steps, time_s=time_s, seed=seed)
+    how = SearchOptions(method=method, steps=steps, time_s=time_s, seed=seed)
     searched_how = how
     chosen: ChipCount | None = None
     if not isinstance(problem, SearchProblem):
@@ -314,7 +314,7 @@ def optimize(
     certificate = certify(stored.code, path)
     bounded = _bounded(problem, outcome, comparison[0].metrics, straight=path is None)
     progress(1.0, "")
-    return Optimum(
+    return OptimizedCode(
         problem,
         how,
         outcome,
@@ -329,12 +329,12 @@ def optimize(
 
 def _with_chips(
     problem: Callable[[int], SearchProblem],
-    how: Search,
+    how: SearchOptions,
     *,
     path_error_px: float,
     threads: int | None,
     progress: Progress,
-) -> tuple[SearchProblem, Search, ChipCount]:
+) -> tuple[SearchProblem, SearchOptions, ChipCount]:
     """Choose the number of chips: the problem with so many, its search in the time left, why."""
     started = time.monotonic()
     chosen = choose_chips(
@@ -355,13 +355,13 @@ def _with_chips(
 
 def _searched(
     problem: SearchProblem,
-    how: Search,
+    how: SearchOptions,
     *,
     start: Sequence[ShutterCode],
     threads: int | None,
     on_best: Callable[[ShutterCode], None],
     progress: Progress,
-) -> SearchOutcome:
+) -> SearchResult:
     """Search the code, and report the best so far."""
     searched = searched_problem(problem)
     progress(0.0, f"{codes_to_count(searched):.2g} codes" if how.method == "exact" else "")
@@ -370,7 +370,7 @@ def _searched(
         on_best(best)
         progress(share, f"{best.open_chips} open")
 
-    return search(
+    return search_code(
         searched,
         how,
         start=start,
@@ -385,12 +385,14 @@ def _part(progress: Progress, first: float, last: float) -> Progress:
     return lambda share, note: progress(first + (last - first) * share, note)
 
 
-def _described(problem: SearchProblem, how: Search, outcome: SearchOutcome) -> dict[str, Any]:
+def _described(
+    problem: SearchProblem, how: SearchOptions, outcome: SearchResult
+) -> dict[str, Any]:
     about = described_search(problem, how, steps=outcome.steps, stopped=outcome.stopped)
     return {**about, "proof": outcome.proof}
 
 
-def _stored(problem: SearchProblem, how: Search, outcome: SearchOutcome) -> StoredCode:
+def _stored(problem: SearchProblem, how: SearchOptions, outcome: SearchResult) -> StoredCode:
     """Return a search's code, which knows no times yet, as a file describes it."""
     code = replace(outcome.code, chip_ns=problem.chip_ns)
     # the limits already keep to the device: its own check has the last word
@@ -401,7 +403,7 @@ def _stored(problem: SearchProblem, how: Search, outcome: SearchOutcome) -> Stor
 
 def _judged(
     problem: SearchProblem,
-    outcome: SearchOutcome,
+    outcome: SearchResult,
     *,
     seed: int,
     threads: int | None,
@@ -428,7 +430,7 @@ def _judged(
 
 
 def _for_less_light(
-    problem: SearchProblem, outcome: SearchOutcome, *, seed: int, threads: int | None
+    problem: SearchProblem, outcome: SearchResult, *, seed: int, threads: int | None
 ) -> list[ShutterCode]:
     """Search codes for less light, which stand more noise, and what is unknown beyond borders.
 
@@ -460,8 +462,8 @@ def _costs_db(problem: SearchProblem, codes: Sequence[ShutterCode]) -> list[floa
     """Cost of codes by the objective "mse", dB."""
     if not codes:
         return []
-    objective = Objective(problem, **FINE)
-    costs_db = objective.cost_of(np.array([code.array for code in codes]))
+    code_cost = CodeCost(problem, **FINE)
+    costs_db = code_cost.cost_of(np.array([code.array for code in codes]))
     return [float(cost_db) for cost_db in costs_db]
 
 
@@ -508,7 +510,7 @@ def certificate_warnings(problem: SearchProblem) -> list[str]:
 
 def _bounded(
     problem: SearchProblem,
-    outcome: SearchOutcome,
+    outcome: SearchResult,
     metrics: CodeMetrics,
     *,
     straight: bool,

@@ -12,11 +12,11 @@ import numpy as np
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import SearchResult, anneal
+from cep.search.annealing.anneal import AnnealingResult, anneal
 from cep.search.baselines import best_snapshot, best_strobe, evenly_some
+from cep.search.cost import CodeCost
 from cep.search.expected import WORTH_DB, ExpectedPsnr, collected_e, equal_light_noise, light_noise
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 
 Choice = Literal["open", "snapshot", "strobe", "code"]
@@ -126,13 +126,13 @@ class WayFinder:
 
     def __init__(self, problem: SearchProblem) -> None:
         problem = replace(problem, objective="mse")
-        self._fast = self._coarse = Objective(problem, oversampling=_OVERSAMPLING)
+        self._fast = self._coarse = CodeCost(problem, oversampling=_OVERSAMPLING)
         samples: dict[str, Any] = {"oversampling": _OVERSAMPLING}
         long = problem.straight and self._fast.rows.shape[-1] > _LONG_COLUMNS
         if long:
             samples = {"oversampling": _LONG_OVERSAMPLING, "across": _LONG_ACROSS}
-            self._coarse = Objective(problem, **samples)
-        self._judge = Objective(problem, **samples, dtype=np.float64)
+            self._coarse = CodeCost(problem, **samples)
+        self._judge = CodeCost(problem, **samples, dtype=np.float64)
         work = problem.chips**2 // 4 * self._judge.shares_across.size
         self._swaps = not long or work <= _SWAPS_WORK
 
@@ -153,8 +153,8 @@ class WayFinder:
                 unsaturated = recordable(candidate, single=single)
                 if unsaturated is None:
                     continue
-                objective = self._fast.for_problem(unsaturated)
-                code = best(objective, within_limits=unsaturated is not unlimited)
+                code_cost = self._fast.for_problem(unsaturated)
+                code = best(code_cost, within_limits=unsaturated is not unlimited)
                 if code is None:
                     continue
                 codes.append(code)
@@ -222,7 +222,7 @@ class WayFinder:
         seed: int,
         threads: int | None,
         time_s: float = math.inf,
-    ) -> SearchResult | None:
+    ) -> AnnealingResult | None:
         """Search the code of least expected error; None where every code would saturate.
 
         A snapshot may have less noise from dark current. It is charged that of a code here, or the

@@ -219,10 +219,10 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
     return {
         "bits": result.code.bits,
         "sentence": result.verdict.sentence,
-        "steps": result.found.steps,
+        "steps": result.search.steps,
         "seed": seed,
-        "stopped": result.found.stopped,
-        "seconds": result.found.seconds,
+        "stopped": result.search.stopped,
+        "seconds": result.search.seconds,
         "warnings": result.warnings,
     }
 

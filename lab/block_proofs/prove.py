@@ -14,8 +14,8 @@ from typing import Any
 
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import Minimum, chip_minimum
+from cep.search.code_search import SearchOptions, search_code
 from cep.search.problem import SearchProblem
-from cep.search.search import Search, search
 from lab.block_proofs.blocks import BlockPlan, certified, core, judge_block, plan_blocks
 from lab.block_proofs.proof_file import ProofFile
 from lab.jobs.cells import Finished, worked
@@ -166,7 +166,7 @@ def best_survivor(plan: BlockPlan, records: Iterable[Mapping[str, Any]]) -> str:
 def _first_code(plan: BlockPlan, threads: int | None) -> str:
     """Return a code proven before or annealed; it sets the first bound, not the outcome."""
     problem = SearchProblem.along(chips=plan.chips, open_range=(plan.fewest, plan.most))
-    start = search(problem, Search(steps=_START_STEPS), threads=threads)
+    start = search_code(problem, SearchOptions(steps=_START_STEPS), threads=threads)
     return core(start.code.bits).ljust(plan.chips, "0")
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
+from cep.search.code_search import SearchOptions, SearchResult, described_search, ended_early
 from cep.search.problem import SearchProblem
-from cep.search.search import Search, SearchOutcome, described_search, ended_early
 
 PUBLISHED_PREFIX = "published: "
 _FEW = 20  # motions below which a class code has mostly learned them by heart
@@ -73,8 +73,8 @@ class ClassOptimum:
     ----------
     problem : SearchProblem
         Of the rule "mean".
-    how : Search
-    outcome : SearchOutcome
+    how : SearchOptions
+    outcome : SearchResult
     rows : tuple of ClassRow
         The code first, then what would be used instead of it.
     motions, held_out : int
@@ -82,8 +82,8 @@ class ClassOptimum:
     """
 
     problem: SearchProblem
-    how: Search
-    outcome: SearchOutcome
+    how: SearchOptions
+    outcome: SearchResult
     rows: tuple[ClassRow, ...]
     motions: int
     held_out: int

@@ -13,12 +13,12 @@ from cep.codes.published import PUBLISHED
 from cep.files.code_files import StoredCode
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
+from cep.search.code_search import SearchOptions, described_search, search_code
+from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.objectives import OBJECTIVES
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
-from cep.search.search import Search, described_search, search
 from lab.class_code.motions import class_scenarios
 from lab.class_code.optimum import PUBLISHED_PREFIX, ClassOptimum, ClassRow
 from motdiff.trajectory import Trajectory
@@ -54,7 +54,7 @@ def check_class(problem: SearchProblem) -> None:
 def optimize_class(
     motions: Sequence[Trajectory],
     problem: SearchProblem,
-    how: Search,
+    how: SearchOptions,
     *,
     held_out: Sequence[Trajectory] = (),
     threads: int | None = None,
@@ -73,7 +73,7 @@ def optimize_class(
         One of unknown direction counts both ways, with half the weight each.
     problem : SearchProblem
         Chips, limits, light, objective; its scenarios, rule and direction are replaced.
-    how : Search
+    how : SearchOptions
         Of the method "anneal".
     held_out : sequence of Trajectory, optional
         Motions of the same class that the search does not see.
@@ -95,7 +95,7 @@ def optimize_class(
     >>> rng = np.random.default_rng(0)
     >>> walks, unseen = (draw_motions(count, length_px=20.0, rng=rng) for count in (4, 2))
     >>> problem = SearchProblem.along(chips=8, open_range=(4, 4), objective="mse")
-    >>> best = optimize_class(walks, problem, Search(steps=500), held_out=unseen)
+    >>> best = optimize_class(walks, problem, SearchOptions(steps=500), held_out=unseen)
     >>> others_db = [row.others_db for row in best.rows if row.within_limits]
     >>> best.code.open_chips, best.rows[0].others_db <= min(others_db)
     (4, True)
@@ -104,7 +104,7 @@ def optimize_class(
         problem, scenarios=class_scenarios(motions), rule="mean", direction="forward"
     )
     check_class(problem)
-    result = search(
+    result = search_code(
         problem,
         how,
         threads=threads,
@@ -203,12 +203,12 @@ def _each_db(
 ) -> list[FloatArray]:
     scenario_lists = [class_scenarios([path]) for path in paths]
     scenarios = tuple(scenario for scenario_list in scenario_lists for scenario in scenario_list)
-    objective = Objective(
+    code_cost = CodeCost(
         replace(problem, scenarios=scenarios, rule="mean", direction="forward"),
         oversampling=16,
         dtype=np.float64,
     )
-    rows = objective.each_cost_of(chips)
+    rows = code_cost.each_cost_of(chips)
     bounds = np.cumsum([len(scenario_list) for scenario_list in scenario_lists])
     return [np.asarray(piece.mean(axis=0)) for piece in np.split(rows, bounds[:-1])]
 

@@ -78,7 +78,7 @@ def design_class(options: DesignClassOptions) -> None:
     Example: python -m lab design-class shots_motion --chips 40 --open 40%:60%
     """
     with progress("searching") as tick:
-        from cep.search.search import Search
+        from cep.search.code_search import SearchOptions
         from lab.class_code.motions import class_scenarios, motion_class
         from lab.class_code.search import optimize_class
         from motdiff.files.outputs import claim
@@ -102,7 +102,7 @@ def design_class(options: DesignClassOptions) -> None:
             best = optimize_class(
                 motions.searched,
                 problem,
-                Search(steps=options.steps, time_s=options.time_s, seed=options.seed),
+                SearchOptions(steps=options.steps, time_s=options.time_s, seed=options.seed),
                 held_out=motions.held_out,
                 progress=tick,
                 on_found=lambda stored: keep({options.output: stored}),

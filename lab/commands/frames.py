@@ -53,7 +53,7 @@ def frames(options: FramesOptions) -> None:
     """
     with progress("searching") as tick:
         from cep.optics.path_limits import check_frame, check_resolved
-        from cep.search.search import Search
+        from cep.search.code_search import SearchOptions
         from lab.frames.optimum import optimize_frames
         from motdiff.files.outputs import claim
 
@@ -74,7 +74,7 @@ def frames(options: FramesOptions) -> None:
         with saved_on_interrupt(outputs) as keep:
             best = optimize_frames(
                 problem,
-                Search(steps=options.steps, time_s=options.time_s, seed=options.seed),
+                SearchOptions(steps=options.steps, time_s=options.time_s, seed=options.seed),
                 options.frames,
                 progress=tick,
                 on_found=lambda stored: keep(dict(zip(files, stored, strict=True))),

@@ -46,7 +46,7 @@ from cep.search.annealing.cooling import (
 from cep.search.annealing.polish import BATCH, GAIN_DB, neighbours, otf_nearby
 from cep.search.annealing.proposals import LoopLimits
 from cep.search.annealing.terms import BLOCK, Tables, lay_out
-from cep.search.objective import FINE, Objective
+from cep.search.cost import FINE, CodeCost
 from cep.search.problem import SearchProblem
 from motdiff.types import FloatArray
 
@@ -76,7 +76,7 @@ class FramesResult:
     steps : int
         Moves tried.
     stopped : {"steps", "time", "interrupted", "complete"}
-        Reason of its end, as of :class:`cep.search.annealing.anneal.SearchResult`.
+        Reason of its end, as of :class:`cep.search.annealing.anneal.AnnealingResult`.
     """
 
     codes: tuple[ShutterCode, ...]
@@ -138,7 +138,7 @@ def anneal_frames(
         for codes in starts
     ):
         raise ValueError(f"start: every one must be {frames} codes of {problem.chips} chips")
-    coarse = Objective(problem, oversampling=SEARCH_OVERSAMPLING)
+    coarse = CodeCost(problem, oversampling=SEARCH_OVERSAMPLING)
 
     def cost_of(choices: Codes) -> FloatArray:
         # one by one: rounding must not make a cost depend on what it is judged beside
@@ -172,7 +172,7 @@ def anneal_frames(
         (ranked[0], 0.0), polish_jointly(problem, ranked), report, stopped=stopped
     )
     codes = _as_codes(best)
-    cost = float(joint_cost(Objective(problem, **FINE), best[None])[0])
+    cost = float(joint_cost(CodeCost(problem, **FINE), best[None])[0])
     return FramesResult(
         codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.moves, stopped
     )
@@ -188,7 +188,7 @@ class _Joint:
     limits: LoopLimits
 
     @classmethod
-    def of(cls, coarse: Objective, frames: int) -> _Joint:
+    def of(cls, coarse: CodeCost, frames: int) -> _Joint:
         problem = coarse.problem
         tables = joint_tables(coarse, frames)
         return cls(problem, frames, tables, LoopLimits.of(problem))
@@ -284,12 +284,12 @@ class JointFigures(NamedTuple):
     noise_gain_db: float
 
 
-def joint_cost(objective: Objective, codes: NDArray[Any]) -> FloatArray:
+def joint_cost(code_cost: CodeCost, codes: NDArray[Any]) -> FloatArray:
     """Cost, dB, of frames restored together: of the root of sum |H|^2, at their mean light.
 
     Parameters
     ----------
-    objective : Objective
+    code_cost : CodeCost
     codes : (R, M, n) array
         R choices of M codes.
 
@@ -298,14 +298,14 @@ def joint_cost(objective: Objective, codes: NDArray[Any]) -> FloatArray:
     (R,) float
     """
     frames = np.moveaxis(codes, 1, 0)
-    power = sum(_power(objective, frame) for frame in frames)
-    duty = np.mean([objective.duty(frame) for frame in frames], axis=0)
-    return _cost_of_power(objective, np.asarray(power), duty)
+    power = sum(_power(code_cost, frame) for frame in frames)
+    duty = np.mean([code_cost.duty(frame) for frame in frames], axis=0)
+    return _cost_of_power(code_cost, np.asarray(power), duty)
 
 
 def joint_figures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> JointFigures:
     """Measure frames restored together; M times one code gain 10 log10 M dB over it."""
-    fine = Objective(problem, **FINE)
+    fine = CodeCost(problem, **FINE)
     power = _power(fine, np.stack([code.array for code in codes])).sum(axis=0)
     power = np.where(power < _ZERO_POWER, 0.0, power)
     with np.errstate(divide="ignore"):
@@ -314,15 +314,15 @@ def joint_figures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Joint
     return JointFigures(float(np.sqrt(power.min())), float(10 * np.log10(noise)))
 
 
-def joint_tables(objective: Objective, frames: int) -> Tables:
+def joint_tables(code_cost: CodeCost, frames: int) -> Tables:
     """Lay a problem out for the compiled loops, whose code is then all frames' chips in a row."""
-    chips = objective.problem.chips
-    tables = lay_out(objective)
+    chips = code_cost.problem.chips
+    tables = lay_out(code_cost)
     # of M frames the light counts by their mean, which need not be a whole number of chips
     mean_open = np.arange(frames * chips + 1) / frames
-    noise = np.interp(mean_open, np.arange(chips + 1), objective.noise)
+    noise = np.interp(mean_open, np.arange(chips + 1), code_cost.noise)
     light = np.array(
-        [criterion.light(mean_open, noise) for criterion, _ in objective.problem.criteria],
+        [criterion.light(mean_open, noise) for criterion, _ in code_cost.problem.criteria],
         dtype=np.float32,
     )
     return tables._replace(rows=np.tile(tables.rows, (frames, 1, 1, 1, 1)), light=light)
@@ -337,7 +337,7 @@ def polish_jointly(problem: SearchProblem, ranked: Codes) -> Iterator[tuple[Code
         The best so far, and the fraction done; after every piece of work, so that the caller may
         stop.
     """
-    fine = Objective(problem, **FINE)
+    fine = CodeCost(problem, **FINE)
     costs = np.concatenate([joint_cost(fine, codes[None]) for codes in ranked])
     # a curved path has so many more frequencies
     leaders = np.argsort(costs, kind="stable")[: 4 if problem.straight else 1]
@@ -351,7 +351,7 @@ def polish_jointly(problem: SearchProblem, ranked: Codes) -> Iterator[tuple[Code
             yield best, number / len(leaders)
 
 
-def _climb(fine: Objective, codes: Codes, cost: float) -> Iterator[tuple[float, Codes]]:
+def _climb(fine: CodeCost, codes: Codes, cost: float) -> Iterator[tuple[float, Codes]]:
     """Change the codes in place until no neighbour is better; yields them now and then."""
     frames, chips = codes.shape
     step = max(1, BATCH // fine.rows[0].size)
@@ -382,11 +382,11 @@ def _climb(fine: Objective, codes: Codes, cost: float) -> Iterator[tuple[float, 
         yield cost, codes
 
 
-def _power(objective: Objective, codes: NDArray[Any]) -> NDArray[Any]:
+def _power(code_cost: CodeCost, codes: NDArray[Any]) -> NDArray[Any]:
     """|H|^2, (R, F), of (R, n) codes."""
-    return np.asarray((objective.otf(codes) ** 2).sum(axis=1))
+    return np.asarray((code_cost.otf(codes) ** 2).sum(axis=1))
 
 
-def _cost_of_power(objective: Objective, power: NDArray[Any], duty: FloatArray) -> FloatArray:
+def _cost_of_power(code_cost: CodeCost, power: NDArray[Any], duty: FloatArray) -> FloatArray:
     root = np.sqrt(power)
-    return objective.cost(np.stack([root, np.zeros_like(root)], axis=1), duty)
+    return code_cost.cost(np.stack([root, np.zeros_like(root)], axis=1), duty)

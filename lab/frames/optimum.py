@@ -14,18 +14,18 @@ from cep.optics.code import ShutterCode
 from cep.proofs.measure import HOPELESS_DB, CodeMetrics
 from cep.search.annealing.anneal import Stopped
 from cep.search.baselines import mean_length_px
+from cep.search.code_search import (
+    NO_TIME_S,
+    SearchOptions,
+    described_search,
+    ended_early,
+    search_code,
+    searched_problem,
+)
 from cep.search.expected import equal_light_noise, light_noise
 from cep.search.optimize import certificate_warnings
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
-from cep.search.search import (
-    NO_TIME_S,
-    Search,
-    described_search,
-    ended_early,
-    search,
-    searched_problem,
-)
 from cep.search.verdict import Verdict
 from cep.search.ways import CODED, Choice, Way, WayFinder, best_possible, check_light, judged_ways
 from lab.frames.annealing import FramesResult, anneal_frames, joint_figures
@@ -59,7 +59,7 @@ class FramesOptimum:
     Attributes
     ----------
     problem : SearchProblem
-    how : Search
+    how : SearchOptions
     search : FramesResult
         What ended it may also have ended the search of the single code.
     metrics : tuple of CodeMetrics
@@ -76,7 +76,7 @@ class FramesOptimum:
     """
 
     problem: SearchProblem
-    how: Search
+    how: SearchOptions
     search: FramesResult
     metrics: tuple[CodeMetrics, ...]
     joint: Together
@@ -149,7 +149,7 @@ class FramesOptimum:
 
 def optimize_frames(
     problem: SearchProblem,
-    how: Search,
+    how: SearchOptions,
     frames: int,
     *,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
@@ -160,7 +160,7 @@ def optimize_frames(
     Parameters
     ----------
     problem : SearchProblem
-    how : Search
+    how : SearchOptions
         By annealing. Half the time at most goes to the single code; both searches make as many
         moves.
     frames : int
@@ -217,7 +217,9 @@ def optimize_frames(
     return FramesOptimum(problem, how, outcome, metrics, joint, single, repeated, judgement)
 
 
-def _described(problem: SearchProblem, how: Search, outcome: FramesResult) -> dict[str, Any]:
+def _described(
+    problem: SearchProblem, how: SearchOptions, outcome: FramesResult
+) -> dict[str, Any]:
     """Describe the search of all frames, as each one's code file does."""
     return {
         **described_search(problem, how, steps=outcome.steps, stopped=outcome.stopped),
@@ -286,7 +288,7 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
 
 def _search(
     problem: SearchProblem,
-    how: Search,
+    how: SearchOptions,
     frames: int,
     length_px: float,
     progress: Callable[[float, str], None],
@@ -295,7 +297,7 @@ def _search(
     moves = how.moves(problem)
     time_s = how.limit_s
     progress(0.0, "a single code")
-    single = search(
+    single = search_code(
         problem,
         replace(how, steps=moves, time_s=time_s / 2),
         length_px=length_px,

@@ -12,7 +12,7 @@ from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import HOPELESS_DB
 from cep.search.annealing.anneal import Stopped
-from cep.search.objective import Objective, continuum_minimum
+from cep.search.cost import CodeCost, continuum_minimum
 from cep.search.problem import SearchProblem
 from motdiff.types import BoolArray, FloatArray
 
@@ -173,9 +173,9 @@ class Judge:
         self._problem = replace(problem, objective="noise")
         self.sampled_only = not problem.straight
         coarse = int(np.clip(_SAMPLES // problem.chips, 8, 64))
-        noise = Objective(self._problem, oversampling=coarse)
+        noise = CodeCost(self._problem, oversampling=coarse)
         self._coarse = (noise.instead("min-mtf"), noise)
-        noise = Objective(self._problem, oversampling=64, dtype=np.float64)
+        noise = CodeCost(self._problem, oversampling=64, dtype=np.float64)
         self._fine = (noise.instead("min-mtf"), noise, noise.instead("mse"))
         self._mirrored = problem.response is None and all(
             uniform_length_px(s.trajectory) is not None for s in problem.scenarios
@@ -224,19 +224,19 @@ class Judge:
             )
         )
 
-    def _figures(self, objectives: Sequence[Objective], codes: Codes) -> FloatArray:
-        step = max(1, _NUMBERS // objectives[0].rows[0, 0].size)
+    def _figures(self, code_costs: Sequence[CodeCost], codes: Codes) -> FloatArray:
+        step = max(1, _NUMBERS // code_costs[0].rows[0, 0].size)
         parts = []
         for batch in (codes[i : i + step] for i in range(0, len(codes), step)):
             arguments = (
-                objectives[0].otf(batch),
-                objectives[0].duty(batch),
-                objectives[0].noise_of(batch),
+                code_costs[0].otf(batch),
+                code_costs[0].duty(batch),
+                code_costs[0].noise_of(batch),
             )
             parts.append(
-                np.stack([-objective.cost(*arguments) for objective in objectives], axis=1)
+                np.stack([-code_cost.cost(*arguments) for code_cost in code_costs], axis=1)
             )
-        return np.concatenate(parts) if parts else np.empty((0, len(objectives)))
+        return np.concatenate(parts) if parts else np.empty((0, len(code_costs)))
 
     def _minimum(self, code: ShutterCode) -> float:
         problem = self._problem

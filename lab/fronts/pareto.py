@@ -26,7 +26,7 @@ from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import COOLING, REHEATED, Stopped, hottest_db, run_chains
 from cep.search.annealing.cooling import anneal_chain
 from cep.search.annealing.terms import Tables, lay_out
-from cep.search.objective import Objective
+from cep.search.cost import CodeCost
 from cep.search.problem import SearchProblem
 from lab.fronts.front import EQUAL_DB, Archive, Front, FrontPoint, Judge, non_dominated
 
@@ -292,7 +292,7 @@ class _Search:
                 if weight > 0
             )
             tables = lay_out(
-                Objective(replace(self.problem, objective=mix), oversampling=_OVERSAMPLING)
+                CodeCost(replace(self.problem, objective=mix), oversampling=_OVERSAMPLING)
             )
             self._tables[share] = (tables, hottest_db(replace(self.problem, objective=mix)))
         return self._tables[share]

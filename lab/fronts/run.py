@@ -16,8 +16,8 @@ from cep.codes.published import for_chips
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.plots.canvas import save
 from cep.proofs.measure import HOPELESS_DB
+from cep.search.code_search import SearchOptions
 from cep.search.problem import SearchProblem
-from cep.search.search import Search
 from cep.search.verdict import Verdict, verdict
 from cep.search.ways import check_light
 from lab.fronts.front import Front, FrontPoint, knees
@@ -35,7 +35,7 @@ class FrontComparison:
 
     Attributes
     ----------
-    how : Search
+    how : SearchOptions
         Its steps, time and seed.
     front : Front
     published : mapping from a name to FrontPoint
@@ -47,7 +47,7 @@ class FrontComparison:
         The best single exposure within the limits, measured as the front is.
     """
 
-    how: Search
+    how: SearchOptions
     front: Front
     published: Mapping[str, FrontPoint]
     verdict: Verdict | None = None
@@ -158,7 +158,7 @@ def pareto(
     problem : SearchProblem
         Its objective does not matter.
     steps, time_s, seed
-        As of :class:`cep.search.search.Search`, but without moves it goes on for the time.
+        As of :class:`cep.search.code_search.SearchOptions`; without moves it goes on for the time.
     path_error_px : float
         Rms error of the path where it is an estimate: the verdict counts it, the search does not.
     progress : callable, optional
@@ -172,7 +172,7 @@ def pareto(
         If a path cannot be measured or is too short for so many chips, an argument is out of its
         range, or every code found has a zero.
     """
-    how = Search(steps=steps, time_s=time_s, seed=seed)
+    how = SearchOptions(steps=steps, time_s=time_s, seed=seed)
     for scenario in problem.scenarios:
         check_frame(scenario.trajectory)
         check_resolved(scenario.trajectory, problem.chips)

@@ -20,8 +20,8 @@ import numpy as np
 import torch
 
 from cep.optics.code import ShutterCode
+from cep.search.code_search import SearchOptions, search_code
 from cep.search.problem import SearchProblem
-from cep.search.search import Search, search
 from lab.evaluation.map_tracing import trace_map
 from lab.evaluation.metrics import ordered_distance_px
 from lab.studies.inputs import photos, smooth_trace, study_parser
@@ -87,7 +87,7 @@ def searched(path: Trajectory, seed: int) -> ShutterCode:
     problem = SearchProblem.along(
         path, chips=32, open_range=(10, 22), objective="mse", direction="unknown"
     )
-    return search(problem, Search(steps=20_000, seed=seed)).code
+    return search_code(problem, SearchOptions(steps=20_000, seed=seed)).code
 
 
 def error_db(path: Trajectory, code: ShutterCode) -> float:

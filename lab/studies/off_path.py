@@ -22,7 +22,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.optics.scene import inverse_scene, noise_variance
 from cep.search.annealing.anneal import anneal
-from cep.search.objective import Objective
+from cep.search.cost import CodeCost
 from cep.search.problem import SearchProblem
 from lab.class_code.motions import draw_motions
 from lab.studies.inputs import study_parser
@@ -91,7 +91,7 @@ def figures(
     started = time.process_time()
     code = anneal(problem, rng=np.random.default_rng(1), steps=steps, time_s=600, threads=1).code
     seconds = time.process_time() - started
-    judge = Objective(
+    judge = CodeCost(
         SearchProblem.along(path, chips=_CHIPS, objective="noise", direction="forward"),
         oversampling=16,
         dtype=np.float64,

@@ -13,10 +13,10 @@ from __future__ import annotations
 import numpy as np
 
 from cep.optics.camera import Camera
-from cep.search.objective import Objective
+from cep.search.code_search import SearchOptions, search_code
+from cep.search.cost import CodeCost
 from cep.search.objectives import OBJECTIVES
 from cep.search.problem import SearchProblem, open_range_of_duty
-from cep.search.search import Search, search
 from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
@@ -61,8 +61,8 @@ def main() -> None:
     losses = []
     for index in range(options.problems):
         problem = random_problem(rng)
-        result = search(problem, Search(steps=options.steps, seed=index), threads=1)
-        fine = Objective(problem, oversampling=64, dtype=np.float64)
+        result = search_code(problem, SearchOptions(steps=options.steps, seed=index), threads=1)
+        fine = CodeCost(problem, oversampling=64, dtype=np.float64)
         path_cost = fine.exact_cost(result.code)
         costs = {row.name: fine.exact_cost(row.code) for row in result.baselines}
         within = {row.name for row in result.baselines if problem.allows(row.code)}

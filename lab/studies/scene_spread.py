@@ -23,7 +23,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.scene import PHOTO
 from cep.search.annealing.anneal import anneal
 from cep.search.baselines import best_snapshot, best_strobe
-from cep.search.objective import Objective
+from cep.search.cost import CodeCost
 from cep.search.problem import Scenario, SearchProblem
 from lab.photo_gains.__main__ import CHIPS, SIDE_PX, motions, trial_of
 from lab.photo_gains.photographs import load_scenes
@@ -101,17 +101,17 @@ def main() -> None:
 
 def levelled_objective(
     problem: SearchProblem, levels_db: np.ndarray | list[float], *, fine: bool
-) -> Objective:
+) -> CodeCost:
     """Objective whose scenarios have scenes this much above the mean scene, dB."""
-    objective = Objective(
+    code_cost = CodeCost(
         problem,
         oversampling=FINE if fine else OVERSAMPLING,
         dtype=np.float64 if fine else np.float32,
     )
-    for motion in objective.parts:
+    for motion in code_cost.parts:
         level = 10 ** (levels_db[motion.scenario] / 10)
-        objective.priors[motion.columns] /= level
-    return objective
+        code_cost.priors[motion.columns] /= level
+    return code_cost
 
 
 def searched_code(

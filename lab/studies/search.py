@@ -24,9 +24,9 @@ from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
 from cep.search.annealing.anneal import anneal
+from cep.search.cost import CodeCost
 from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from lab.bench.codes import chip_noise_db, code_rows
 from lab.studies.inputs import study_parser
@@ -103,7 +103,7 @@ def speed(seconds: float, seed: int) -> None:
 
     path = boracchi_foi(np.random.default_rng(seed))
     problem = SearchProblem.along(path, chips=52, objective="noise", direction="forward")
-    coarse = Objective(problem, oversampling=8)
+    coarse = CodeCost(problem, oversampling=8)
     tables = lay_out(coarse)
     code = problem.random_codes(1, rng=np.random.default_rng(seed))[0].astype(np.int8)
     columns = coarse.rows.shape[-1]

@@ -19,7 +19,7 @@ from cep.search.annealing.cooling import anneal_chain
 from cep.search.annealing.polish import Polished, polish
 from cep.search.annealing.sweeps import sweep_tables, sweeps, swept
 from cep.search.annealing.terms import lay_out
-from cep.search.objective import FINE, Objective, sample_count
+from cep.search.cost import FINE, CodeCost, sample_count
 from cep.search.problem import SearchProblem
 from motdiff.types import FloatArray
 
@@ -56,7 +56,7 @@ _TICK_S = 0.1  # between two looks of the caller at running chains
 
 
 @dataclass(frozen=True)
-class SearchResult:
+class AnnealingResult:
     """Result of a search.
 
     Attributes
@@ -64,7 +64,7 @@ class SearchResult:
     code : ShutterCode
     objective : float
         Cost in dB, lower is better, with minima over the continuum; see
-        :mod:`cep.search.objective`.
+        :mod:`cep.search.cost`.
     seconds : float
     steps : int
         Moves tried.
@@ -117,10 +117,10 @@ def anneal(
     start: Iterable[ShutterCode] = (),
     progress: Progress | None = None,
     threads: int | None = None,
-    judge: Objective | None = None,
-    coarse: Objective | None = None,
+    judge: CodeCost | None = None,
+    coarse: CodeCost | None = None,
     swaps: bool = True,
-) -> SearchResult:
+) -> AnnealingResult:
     """Search a code; anytime: a limit or Ctrl-C returns the best so far.
 
     Parameters
@@ -142,9 +142,9 @@ def anneal(
         KeyboardInterrupt.
     threads : int, optional
         As many as there are cores when omitted; the outcome does not depend on it.
-    judge : Objective, optional
+    judge : CodeCost, optional
         The problem's on 64 samples per 1 / extent in float64, where it has been made already.
-    coarse : Objective, optional
+    coarse : CodeCost, optional
         The problem's on 8 samples per 1 / extent in float32, by which the moves are judged, where
         it has been made already.
     swaps : bool
@@ -165,11 +165,11 @@ def anneal(
     starts = [code.array for code in start]
     if any(bits.size != problem.chips for bits in starts):
         raise ValueError(f"start: every code must have {problem.chips} chips")
-    ranking = coarse = coarse or Objective(problem, oversampling=SEARCH_OVERSAMPLING)
+    ranking = coarse = coarse or CodeCost(problem, oversampling=SEARCH_OVERSAMPLING)
     longest = _LONGEST
     if swept(problem):
         # what is best on the coarse samples need not be so between them
-        ranking = judge = judge or Objective(problem, **FINE)
+        ranking = judge = judge or CodeCost(problem, **FINE)
         longest = _LONGEST_SWEPT
     elites = Elites(ranking.cost_of, _ELITES)
     seeds = np.array([*starts, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
@@ -206,13 +206,13 @@ def anneal(
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
     best = ShutterCode.from_array(elites.ranked()[0])
-    fine = judge or Objective(problem, **FINE)
+    fine = judge or CodeCost(problem, **FINE)
     polished = Polished(best, fine.exact_cost(best), 0.0)
     polished, stopped = budget.polished(
         polished, polish(fine, elites.ranked(), swaps=swaps), report, stopped=stopped
     )
     seconds = time.monotonic() - started
-    return SearchResult(polished.code, polished.cost, seconds, budget.moves, stopped)
+    return AnnealingResult(polished.code, polished.cost, seconds, budget.moves, stopped)
 
 
 def standard_moves(problem: SearchProblem) -> int:
@@ -235,7 +235,7 @@ def hottest_db(problem: SearchProblem) -> float:
 
 
 def _chains(
-    coarse: Objective, judge: Objective | None, elites: Elites, rng: np.random.Generator
+    coarse: CodeCost, judge: CodeCost | None, elites: Elites, rng: np.random.Generator
 ) -> Callable[[int, int], list[ChainSlices]]:
     """Lay out tables for the compiled loops; returns what makes the chains of a round.
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
 from cep.optics.code import ShutterCode
-from cep.search.objective import Objective
+from cep.search.cost import CodeCost
 from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.int8]
@@ -45,7 +45,7 @@ class Polished(NamedTuple):
     done: float
 
 
-def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Polished]:
+def polish(fine: CodeCost, ranked: Codes, *, swaps: bool = True) -> Iterator[Polished]:
     """Evaluate (R, n) codes, best first, and climb from the leaders by flips, and by ``swaps``.
 
     Yields
@@ -74,7 +74,7 @@ def polish(fine: Objective, ranked: Codes, *, swaps: bool = True) -> Iterator[Po
 
 
 def _climb(
-    fine: Objective, code: ShutterCode, cost: float, *, swaps: bool
+    fine: CodeCost, code: ShutterCode, cost: float, *, swaps: bool
 ) -> Iterator[tuple[float, ShutterCode]]:
     """Go to the best neighbour until none is better; yields where it stands, now and then."""
     swaps = swaps and code.chips**2 // 4 * fine.rows[0].size * code.chips <= _MOST_WORK
@@ -116,9 +116,9 @@ def neighbours(problem: SearchProblem, bits: Codes, *, swaps: bool) -> Codes:
     return candidates[problem.satisfied(candidates)]
 
 
-def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) -> RealArray:
+def otf_nearby(code_cost: CodeCost, code: Codes, otf: RealArray, codes: Codes) -> RealArray:
     """OTF (R, 2, F) of (R, n) codes near a code (n,) of OTF (2, F), by the changed chips alone."""
-    chips, variants = objective.rows.shape[:2]
+    chips, variants = code_cost.rows.shape[:2]
     change = codes - code
     which, chip = np.nonzero(change)
     row = chip
@@ -128,18 +128,18 @@ def otf_nearby(objective: Objective, code: Codes, otf: RealArray, codes: Codes) 
         left_open = np.pad(codes, ((0, 0), (1, 0)))[which, chip]
         right_open = np.pad(code, (0, 1))[chip + 1]
         row = 4 * chip + 2 * left_open + right_open
-    signs = change[which, chip].astype(objective.rows.dtype)
+    signs = change[which, chip].astype(code_cost.rows.dtype)
     row_starts = np.searchsorted(which, np.arange(len(codes) + 1))
     # few chips change, so that a sparse product costs a fraction of the full one
     changed = csr_array(
         (signs, row, row_starts), shape=(len(codes), chips * variants)
-    ) @ objective.rows.reshape(chips * variants, -1)
+    ) @ code_cost.rows.reshape(chips * variants, -1)
     changed += otf.ravel()
     return np.asarray(changed.reshape(len(codes), *otf.shape))
 
 
 def cheapest(
-    objective: Objective, code: Codes, codes: Codes, *, count: int, below: float
+    code_cost: CodeCost, code: Codes, codes: Codes, *, count: int, below: float
 ) -> Iterator[Indices]:
     """Find the cheapest of (R, n) codes near a code (n,) that cost less than ``below`` dB.
 
@@ -148,7 +148,7 @@ def cheapest(
     (``count`` or fewer,) int
         Indices of the cheapest so far, in their order; after the last codes, the answer.
     """
-    judges = [(judge, judge.otf(code[None])[0]) for judge in _judges(objective)]
+    judges = [(judge, judge.otf(code[None])[0]) for judge in _judges(code_cost)]
     step = max(1, BATCH // judges[0][1].size)
     indices = np.empty(0, np.intp)
     costs = np.empty(0)
@@ -173,20 +173,20 @@ def cheapest(
         yield indices
 
 
-def _judges(objective: Objective) -> list[Objective]:
-    """Return the objective, and where a minimum is all that counts a quick one before it."""
+def _judges(code_cost: CodeCost) -> list[CodeCost]:
+    """Return the cost, and where a minimum is all that counts a quick one before it."""
     # the minimum over a part of the frequencies is never lower: it never costs more
-    if any(name != "min-mtf" for name, _ in objective.problem.objective_mix):
-        return [objective]
+    if any(name != "min-mtf" for name, _ in code_cost.problem.objective_mix):
+        return [code_cost]
     columns_by_part = [
-        np.arange(motion.columns.start, motion.columns.stop, _SPARSE) for motion in objective.parts
+        np.arange(motion.columns.start, motion.columns.stop, _SPARSE) for motion in code_cost.parts
     ]
     edges = np.cumsum([0, *(columns.size for columns in columns_by_part)]).tolist()
-    few = copy(objective)
-    few.rows = np.ascontiguousarray(objective.rows[..., np.concatenate(columns_by_part)])
+    few = copy(code_cost)
+    few.rows = np.ascontiguousarray(code_cost.rows[..., np.concatenate(columns_by_part)])
     # a minimum takes nothing of a part but its columns
     few.parts = tuple(
         replace(motion, columns=slice(*bounds))
-        for motion, bounds in zip(objective.parts, pairwise(edges), strict=True)
+        for motion, bounds in zip(code_cost.parts, pairwise(edges), strict=True)
     )
-    return [few, objective]
+    return [few, code_cost]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from cep.compiled import compiled, inlined
 from cep.search.annealing.proposals import uniform
-from cep.search.objective import Objective
+from cep.search.cost import CodeCost
 from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.int8]
@@ -63,14 +63,14 @@ def swept(problem: SearchProblem) -> bool:
     return problem.straight
 
 
-def sweep_tables(objective: Objective, judge: Objective) -> SweepTables:
+def sweep_tables(code_cost: CodeCost, judge: CodeCost) -> SweepTables:
     """Lay out some samples of an objective of one part, and all of a finer one.
 
     The finer ones have to be so many that |P| has no dip between them: of a code with a zero, 8
     per 1 / chips may show a smallest |P| of 2 chips.
     """
-    problem = objective.problem
-    rows = problem.chips * objective.rows[:, 0]
+    problem = code_cost.problem
+    rows = problem.chips * code_cost.rows[:, 0]
     count = min(_FREQUENCIES, rows.shape[-1])
     columns = np.linspace(0, rows.shape[-1] - 1, count).round().astype(int)
     coarse = rows[:, :, columns].astype(np.float32)

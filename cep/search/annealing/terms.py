@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.compiled import compiled, inlined
-from cep.search.objective import Objective
+from cep.search.cost import CodeCost
 from cep.search.objectives import FLATNESS, NO_TERM, RECIPROCAL, STEEP, Columns
 from cep.search.problem import SearchProblem
 from motdiff.types import FloatArray
@@ -299,13 +299,13 @@ def add_rows(rows: Floats, otf: Floats, picked: Ints, count: int, chips: int) ->
             changed[f] += sign * row[f]
 
 
-def lay_out(objective: Objective) -> Tables:
+def lay_out(code_cost: CodeCost) -> Tables:
     """Pack each part's columns into blocks, with the tables of each objective."""
-    problem = objective.problem
+    problem = code_cost.problem
     columns: list[NDArray[np.intp]] = []
     layout: list[tuple[int, int, int]] = []
     blocks = 0
-    for motion in objective.parts:
+    for motion in code_cost.parts:
         # the ends of a straight band may weigh nothing
         heavy = np.flatnonzero(motion.samples.weight > 0) + motion.columns.start
         size = -(-heavy.size // BLOCK)
@@ -314,14 +314,14 @@ def lay_out(objective: Objective) -> Tables:
         blocks += size
     places = np.concatenate(columns)
     filling = places < 0
-    weight = np.concatenate([motion.samples.weight for motion in objective.parts])[places]
+    weight = np.concatenate([motion.samples.weight for motion in code_cost.parts])[places]
     chips = problem.chips
     mix = problem.criteria
     samples = ~filling
     sampled = Columns(
         weight[samples],
-        objective.priors[places[samples]],
-        objective.shares_across[places[samples]],
+        code_cost.priors[places[samples]],
+        code_cost.shares_across[places[samples]],
         chips,
     )
     terms = [criterion.terms(sampled) for criterion, _ in mix]
@@ -334,9 +334,9 @@ def lay_out(objective: Objective) -> Tables:
         scale[o, : len(factors), samples] = factors.T
         offset[o, : len(factors), samples] = offsets.T
     counts = np.arange(chips + 1.0)
-    light = np.array([criterion.light(counts, objective.noise) for criterion, _ in mix])
+    light = np.array([criterion.light(counts, code_cost.noise) for criterion, _ in mix])
     kinds = [criterion.kind for criterion, _ in mix]
-    rows = (chips * objective.rows)[..., np.where(filling, 0, places)]
+    rows = (chips * code_cost.rows)[..., np.where(filling, 0, places)]
     rows[..., filling] = 0
     packed = rows.reshape(*rows.shape[:3], -1, BLOCK).transpose(0, 1, 3, 2, 4)
     return Tables(
@@ -347,7 +347,7 @@ def lay_out(objective: Objective) -> Tables:
         scale=_contiguous(scale.reshape(len(mix), across, -1, BLOCK).transpose(0, 2, 1, 3)),
         offset=_contiguous(offset.reshape(len(mix), across, -1, BLOCK).transpose(0, 2, 1, 3)),
         light=_contiguous(light),
-        shares=objective.scenario_shares,
+        shares=code_cost.scenario_shares,
         mean_rule=problem.rule == "mean",
     )
 

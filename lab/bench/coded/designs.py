@@ -12,9 +12,9 @@ from cep.codes.published import published
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.search.baselines import best_snapshot, best_strobe, dnf_problem, median_random_code
-from cep.search.objective import Objective
+from cep.search.code_search import SearchOptions, search_code
+from cep.search.cost import CodeCost
 from cep.search.problem import Scenario, SearchProblem
-from cep.search.search import Search, search
 from lab.class_code.motions import class_scenarios
 from lab.trainings.dce.code import DCE_CODE
 from motdiff.trajectory import Trajectory
@@ -160,18 +160,19 @@ def design_code(
     )
     if design in ("snapshot", "class-snapshot", "strobe"):
         best = (best_strobe if design == "strobe" else best_snapshot)(
-            Objective(problem, oversampling=8)
+            CodeCost(problem, oversampling=8)
         )
         if best is None:
             raise ValueError(f"chips: a strobe needs at least 3, got {chips}")
         return best
     if design == "random":
-        return median_random_code(Objective(problem, oversampling=8), _RANDOM_CODES, rng=rng)
+        return median_random_code(CodeCost(problem, oversampling=8), _RANDOM_CODES, rng=rng)
     return _searched(problem, steps=steps, rng=rng)
 
 
 def _searched(problem: SearchProblem, *, steps: int, rng: np.random.Generator) -> ShutterCode:
-    result = search(problem, Search(steps=steps), rng=rng, threads=1)  # other cells run beside
+    # on one thread: other cells run beside
+    result = search_code(problem, SearchOptions(steps=steps), rng=rng, threads=1)
     if result.stopped == "interrupted":
         # an interrupted search had a smaller budget than the others, and cells are cached
         raise KeyboardInterrupt

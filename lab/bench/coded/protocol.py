@@ -65,7 +65,7 @@ class CodedProtocol:
     open_range : (int, int)
         Fewest and most open chips.
     objective : str
-        Of the search; see :mod:`cep.search.objective`.
+        Of the search; see :mod:`cep.search.cost`.
     photons : tuple of float
         Photo-electrons at full scale of each light level, for which codes are searched anew.
         Empty: no noise but the quantisation, and each photo has the light of the open shutter:

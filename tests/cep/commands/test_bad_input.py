@@ -253,7 +253,7 @@ def test_a_dense_path_is_searched_as_quickly_as_any(cep, workplace, monkeypatch)
     """Shown by what the search is given: no test asserts a wall time."""
     seen = []
     monkeypatch.setattr(
-        "cep.search.optimize.search", lambda problem, *_, **__: seen.append(problem) or 1 / 0
+        "cep.search.optimize.search_code", lambda problem, *_, **__: seen.append(problem) or 1 / 0
     )
     dense(0.0)
     cep("optimize", "--trajectory", "dense.json", "--chips", "8", "-o", "new.json")

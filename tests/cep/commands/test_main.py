@@ -430,7 +430,7 @@ def test_optimize_keeps_a_devices_limits(cep, workplace):
 
 
 def test_optimize_interrupted_keeps_the_best(cep, workplace, monkeypatch):
-    from cep.search import search as module
+    from cep.search import code_search as module
 
     def interrupted_soon(problem, *, progress, **options):
         def stop(_fraction, _best):
@@ -495,7 +495,7 @@ def test_a_second_interrupt_does_not_lose_the_code(cep, workplace, monkeypatch):
 _LOUD = """
 import sys
 from cep.commands.main import run
-from cep.search import search as module
+from cep.search import code_search as module
 
 real = module.anneal
 

@@ -298,7 +298,7 @@ def budgets(monkeypatch):
 
         return search
 
-    for name in ("cep.search.search.anneal", "lab.frames.optimum.anneal_frames"):
+    for name in ("cep.search.code_search.anneal", "lab.frames.optimum.anneal_frames"):
         module, function = name.rsplit(".", 1)
         monkeypatch.setattr(name, hasty(getattr(importlib.import_module(module), function)))
     return seen

@@ -60,7 +60,7 @@ FOLDERS = {
 WORK = (
     "cep.files.images.decode",
     "cep.calibration.calibrate.make_method",
-    "cep.search.optimize.search",
+    "cep.search.optimize.search_code",
     "cep.proofs.audit.certify",
     "cep.plots.codes.mtf_curve",
     "cep.restoration.restore.restore",

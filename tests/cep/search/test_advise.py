@@ -16,10 +16,10 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.search.advise import advise
+from cep.search.code_search import SearchOptions
 from cep.search.expected import WORTH_DB, ExpectedPsnr, light_noise
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
-from cep.search.search import Search
 from cep.search.verdict import verdict
 from hw.device import DeviceProfile
 from lab.frames.optimum import frames_verdict, optimize_frames
@@ -132,7 +132,9 @@ def test_nor_by_what_a_search_reports(seed):
         ]
         for one in found:
             check_that_no_single_exposure_is_better(problem, one)
-        pair = optimize_frames(replace(problem, objective=objective), Search(steps=50), 2).verdict
+        pair = optimize_frames(
+            replace(problem, objective=objective), SearchOptions(steps=50), 2
+        ).verdict
         check_that_no_single_exposure_is_better(problem, pair, frames=2)
 
 

@@ -7,8 +7,8 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
 from cep.search.baselines import best_snapshot, best_strobe, median_random_code
+from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 
@@ -17,7 +17,7 @@ STRAIGHT = Trajectory.straight(12.0, angle_rad=0.3)
 
 
 def objective(path, chips, **options):
-    return Objective(
+    return CodeCost(
         SearchProblem.along(path, chips=chips, **({"objective": "mse"} | options)), oversampling=8
     )
 

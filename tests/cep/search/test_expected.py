@@ -11,12 +11,12 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_rows, coded_otf
 from cep.optics.scene import inverse_scene, noise_variance
 from cep.proofs.measure import measure, measure_worst
+from cep.search.cost import CodeCost
 from cep.search.expected import (
     ExpectedPsnr,
     equal_light_noise,
     light_noise,
 )
-from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory
@@ -99,7 +99,7 @@ def test_dark_current_counts_alike_in_figures_objectives_and_expectations():
     dark = replace(CAMERA, dark_current_e_s=1e5)
     warm = replace(problem(objective="mse", direction="forward"), camera=dark, chip_ns=20_000_000)
     codes = [ShutterCode(code.bits, warm.chip_ns) for code in CODES]
-    judged = Objective(warm, oversampling=64, dtype=np.float64)
+    judged = CodeCost(warm, oversampling=64, dtype=np.float64)
     expected = expected_psnr_db(warm, codes, noise=[light_noise(dark, codes)])[:, 0]
     for code, psnr in zip(codes, expected, strict=True):
         assert warm.measure(code).mse_db == pytest.approx(measure(BENT, code, camera=dark).mse_db)

@@ -12,8 +12,8 @@ from cep.optics.code import ShutterCode
 from cep.optics.scene import PHOTO, SCENES
 from cep.photographs.scenes import photographs
 from cep.photographs.trial import PhotoTrial
+from cep.search.cost import CodeCost
 from cep.search.measured import LONGEST_PX, corrected, corrections_db
-from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.verdict import gain_range_db, verdict
 from cep.search.ways import Way
@@ -169,7 +169,7 @@ def test_a_scene_of_another_name_claims_no_photographs(problem, few):
 @pytest.mark.parametrize("scene", SCENES.values())
 def test_search_measure_and_verdict_expect_the_same_of_a_scene(problem, scene):
     designed = replace(problem, objective="mse", scene=scene)
-    cost_db = Objective(designed, oversampling=64, dtype=np.float64).cost_of(CODE.array[None])[0]
+    cost_db = CodeCost(designed, oversampling=64, dtype=np.float64).cost_of(CODE.array[None])[0]
     assert designed.measure(CODE).mse_db == pytest.approx(cost_db, abs=0.05)
     expected_db = verdict(designed, CODE, photographs=()).user_code.psnr_db
     assert expected_db == pytest.approx(-cost_db, abs=0.05)

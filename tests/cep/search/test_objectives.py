@@ -9,7 +9,7 @@ from works import works
 
 from cep.search.annealing.cooling import fresh_otf, total_cost
 from cep.search.annealing.terms import BLOCK, lay_out
-from cep.search.objective import Objective
+from cep.search.cost import CodeCost
 from cep.search.objectives import OBJECTIVES, RECIPROCAL, STEEP, Criterion
 from cep.search.optimize import optimize
 from cep.search.problem import SearchProblem
@@ -60,7 +60,7 @@ def rank_correlation(name):
     time = np.linspace(0, 1, 24) ** 1.4
     path = Trajectory.from_samples(np.stack([9 * time, 4 * np.sin(3 * time)], axis=1))
     problem = SearchProblem.along(path, chips=16, objective=name, open_range=(3, 13))
-    judge = Objective(problem, oversampling=8)
+    judge = CodeCost(problem, oversampling=8)
     tables = lay_out(judge)
     codes = problem.random_codes(64, rng=np.random.default_rng(0)).astype(np.int8)
     otf = np.empty((1, tables.rows.shape[2], 2, BLOCK), np.float32)
@@ -103,12 +103,12 @@ def test_another_one_is_searched(dummy):
     path = Trajectory.straight(8.0)
     problem = SearchProblem.along(path, chips=8, objective="dummy", open_range=(3, 5))
     best = optimize(problem, steps=500)
-    judge = Objective(problem, oversampling=16, dtype=np.float64)
+    judge = CodeCost(problem, oversampling=16, dtype=np.float64)
     codes = problem.random_codes(50, rng=np.random.default_rng(0))
     assert judge.cost_of(best.code.array[None])[0] <= judge.cost_of(codes).min() + 1e-9
     assert best.code.open_chips == 5  # more light, more power
     mixed = SearchProblem.along(path, chips=8, objective=(("dummy", 1.0), ("mse", 0.5)))
-    assert len(lay_out(Objective(mixed, oversampling=8)).kinds) == 2
+    assert len(lay_out(CodeCost(mixed, oversampling=8)).kinds) == 2
 
 
 def test_another_one_is_in_every_list(tmp_path):

@@ -11,11 +11,11 @@ import pytest
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import chip_minimum, min_chip
+from cep.search.code_search import SearchOptions, search_code
 from cep.search.exhaustive.exact import exact
 from cep.search.limits import RunLimits
 from cep.search.optima import OPTIMA, proven_optimum, proven_starts
 from cep.search.problem import Scenario, SearchProblem
-from cep.search.search import Search, search
 from motdiff.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[3]
@@ -147,14 +147,14 @@ def test_starts_are_for_the_minimum_of_straight_motions_within_the_limits():
 )
 def test_a_search_never_returns_less_than_what_is_proven_for_fewer_chips(chips, light, least):
     problem = SearchProblem(chips=chips, open_range=light)
-    found = search(problem, Search(steps=100))
+    found = search_code(problem, SearchOptions(steps=100))
     assert found.stopped != "proven"
     assert min_chip(found.code) >= least
 
 
 def test_a_covered_search_makes_no_move_and_names_its_proof():
     problem = SearchProblem(chips=52, open_range=(26, 26))
-    found = search(problem, Search(steps=1000))
+    found = search_code(problem, SearchOptions(steps=1000))
     assert (found.stopped, found.steps, found.proof["file"]) == (
         "proven",
         0,
@@ -165,6 +165,6 @@ def test_a_covered_search_makes_no_move_and_names_its_proof():
     assert all(row.cost_db >= found.objective for row in found.baselines if row.within_limits)
     # where a device, as one of long openings, excludes the code, it is not used
     slower = replace(problem, runs=RunLimits(min_open=2))
-    other = search(slower, Search(steps=1000))
+    other = search_code(slower, SearchOptions(steps=1000))
     assert other.stopped == "steps"
     assert slower.allows(other.code)

@@ -8,8 +8,8 @@ import pytest
 from cep.files.code_files import read_code
 from cep.optics.camera import Camera
 from cep.proofs.verify import verify
+from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.optimize import optimize
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
@@ -19,7 +19,7 @@ BENT = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
 
 
 def judge_of(problem):
-    return Objective(problem, oversampling=64, dtype=np.float64)
+    return CodeCost(problem, oversampling=64, dtype=np.float64)
 
 
 @pytest.mark.parametrize("objective", ["noise", "mse", "flatness"])
@@ -28,10 +28,12 @@ def test_along_a_straight_motion_only_the_minimum_is_searched_on_the_circle(obje
     counts."""
     problem = SearchProblem.along(STRAIGHT, chips=16, objective=objective, open_range=(6, 10))
     best = optimize(problem, steps=2000)
-    assert best.found.objective == pytest.approx(judge_of(problem).exact_cost(best.code), abs=1e-9)
+    assert best.search.objective == pytest.approx(
+        judge_of(problem).exact_cost(best.code), abs=1e-9
+    )
     circle = dataclasses.replace(problem, scenarios=(), objective="noise")
     if objective == "noise":
-        assert abs(best.found.objective - judge_of(circle).exact_cost(best.code)) > 0.1
+        assert abs(best.search.objective - judge_of(circle).exact_cost(best.code)) > 0.1
 
 
 def test_the_minimum_of_a_straight_motion_is_the_polynomial_s():
@@ -101,7 +103,7 @@ def test_a_search_needs_a_motion_that_tells_its_chips_apart():
 
 def test_a_time_that_ends_the_search_is_told_with_its_moves():
     best = optimize(SearchProblem.along(BENT, chips=12), steps=10**12, time_s=0.01)
-    assert best.found.stopped == "time"
+    assert best.search.stopped == "time"
     assert (
         "the limit of 0.01 s ended the search before its 1,000,000,000,000 moves"
         in best.warnings[0]

@@ -5,8 +5,8 @@ import pytest
 
 from cep.optics.camera import Camera
 from cep.search.annealing.anneal import anneal
+from cep.search.cost import CodeCost
 from cep.search.expected import ExpectedPsnr, light_noise
-from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from cep.search.ways import WayFinder
 from motdiff.trajectory import Trajectory
@@ -23,7 +23,7 @@ def test_a_code_of_a_long_motion_is_found_on_fewer_samples():
     problem = SearchProblem.along(
         Trajectory.straight(300.0), chips=24, camera=camera, objective="mse"
     )
-    whole = Objective(problem, oversampling=16, dtype=np.float64)
+    whole = CodeCost(problem, oversampling=16, dtype=np.float64)
     thorough = anneal(
         problem, rng=np.random.default_rng(0), steps=100_000, time_s=np.inf, judge=whole
     )
@@ -42,7 +42,7 @@ def test_six_nodes_across_a_straight_motion_are_as_good_as_twelve(length):
         problem = SearchProblem.along(path, chips=24, camera=camera, objective="mse")
         codes = problem.random_codes(50, rng=np.random.default_rng(1))
         few, many = (
-            Objective(problem, oversampling=16, across=n, dtype=np.float64).cost_of(codes)
+            CodeCost(problem, oversampling=16, across=n, dtype=np.float64).cost_of(codes)
             for n in (6, 12)
         )
         np.testing.assert_allclose(few, many, atol=0.03)

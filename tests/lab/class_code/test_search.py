@@ -15,8 +15,8 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
 from cep.search.annealing import anneal
+from cep.search.code_search import SearchOptions
 from cep.search.problem import OBJECTIVES, SearchProblem
-from cep.search.search import Search
 from lab.class_code.motions import MOST_SCENARIOS, class_scenarios, draw_motions
 from lab.class_code.search import check_class, optimize_class, per_motion_db
 from motdiff.trajectory import Trajectory
@@ -41,7 +41,7 @@ def noise_db(path, code):
 
 def test_the_mean_of_the_decibels_is_best_of_all_codes():
     mean_db = {code.bits: np.mean([noise_db(path, code) for path in WALKS]) for code in EVERY}
-    best = optimize_class(WALKS, PROBLEM, Search(steps=20_000), threads=1)
+    best = optimize_class(WALKS, PROBLEM, SearchOptions(steps=20_000), threads=1)
     assert best.rows[0].mean_db == pytest.approx(mean_db[best.code.bits], abs=1e-3)
     assert best.rows[0].mean_db == pytest.approx(min(mean_db.values()), abs=1e-3)
     # the decibels of the mean, which one bad motion rules, would choose another
@@ -80,10 +80,10 @@ def test_order_and_orientation_of_the_motions_do_not_matter():
 
 def test_rows_are_judged_on_motions_that_the_search_has_not_seen(tmp_path):
     unseen = draw_motions(4, length_px=15.0, rng=np.random.default_rng(2))
-    best = optimize_class(WALKS, PROBLEM, Search(steps=2000), held_out=unseen, threads=1)
+    best = optimize_class(WALKS, PROBLEM, SearchOptions(steps=2000), held_out=unseen, threads=1)
     assert (
         best.outcome.code
-        == optimize_class(WALKS, PROBLEM, Search(steps=2000), threads=2).outcome.code
+        == optimize_class(WALKS, PROBLEM, SearchOptions(steps=2000), threads=2).outcome.code
     )
     own, *others = best.rows
     assert (own.behind_db, own.behind_error_db) == (0, 0)
@@ -111,7 +111,11 @@ def test_the_verdict_recommends_nothing_that_loses_to_its_own_table():
     # up to some blur
     dim = replace(PROBLEM, objective="mse", camera=Camera(photons_full_scale=30.0))
     dark = optimize_class(
-        WALKS, replace(dim, open_range=(1, 2)), Search(steps=500), held_out=unseen, threads=1
+        WALKS,
+        replace(dim, open_range=(1, 2)),
+        SearchOptions(steps=500),
+        held_out=unseen,
+        threads=1,
     )
     better = min(dark.rows, key=lambda row: row.behind_db)
     assert better.behind_db < 0
@@ -119,13 +123,17 @@ def test_the_verdict_recommends_nothing_that_loses_to_its_own_table():
     assert better.code.open_chips > 2
     assert dark.verdict.startswith(f"Use the {better.name} (open for {better.code.open_chips} of")
     free = optimize_class(
-        WALKS, replace(dim, open_range=None), Search(steps=500), held_out=unseen, threads=1
+        WALKS, replace(dim, open_range=None), SearchOptions(steps=500), held_out=unseen, threads=1
     )
     assert min(row.behind_db for row in free.rows) == 0
     assert free.code.pulses == 1
     assert free.verdict.startswith("A short exposure is best, one opening (open for ")
     noise = optimize_class(
-        WALKS, replace(PROBLEM, open_range=None), Search(steps=3000), held_out=unseen, threads=1
+        WALKS,
+        replace(PROBLEM, open_range=None),
+        SearchOptions(steps=3000),
+        held_out=unseen,
+        threads=1,
     )
     assert noise.to_dict()["verdict"] == noise.verdict
     snapshot = next(row for row in noise.rows if row.name == "best snapshot")
@@ -134,14 +142,14 @@ def test_the_verdict_recommends_nothing_that_loses_to_its_own_table():
 
 
 def test_a_search_whose_samples_take_longer_than_its_time_makes_moves(monkeypatch):
-    real = anneal.Objective
+    real = anneal.CodeCost
 
     def slow(*given, **options):
         time.sleep(0.5)
         return real(*given, **options)
 
-    monkeypatch.setattr(anneal, "Objective", slow)
-    best = optimize_class(WALKS, PROBLEM, Search(time_s=0.4), threads=1)
+    monkeypatch.setattr(anneal, "CodeCost", slow)
+    best = optimize_class(WALKS, PROBLEM, SearchOptions(time_s=0.4), threads=1)
     assert best.outcome.stopped == "time"
     assert best.outcome.steps > 0
     assert not best.unsearched
@@ -152,9 +160,11 @@ def test_a_search_whose_samples_take_longer_than_its_time_makes_moves(monkeypatc
     ("stopped", "said"), [("time", "7 s passed"), ("interrupted", "Ctrl-C ended it")]
 )
 def test_where_no_move_was_made_the_verdict_recommends_nothing(stopped, said):
-    best = optimize_class(WALKS, PROBLEM, Search(steps=500), threads=1)
+    best = optimize_class(WALKS, PROBLEM, SearchOptions(steps=500), threads=1)
     none = replace(
-        best, how=Search(time_s=7.0), outcome=replace(best.outcome, steps=0, stopped=stopped)
+        best,
+        how=SearchOptions(time_s=7.0),
+        outcome=replace(best.outcome, steps=0, stopped=stopped),
     )
     assert none.verdict.startswith(f"Nothing was searched: {said} before the first move.")
     assert "--time" in none.verdict

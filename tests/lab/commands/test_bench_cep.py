@@ -11,7 +11,7 @@ from cep.commands.console import FAILURE, INTERRUPTED
 from cep.files.code_files import StoredCode, write_code
 from cep.files.images import read_image, write_image
 from cep.optics.code import ShutterCode
-from cep.search import search
+from cep.search import code_search
 from lab.bench.coded.designs import DESIGNS
 
 TINY = """\
@@ -134,7 +134,7 @@ def test_from_photos_to_every_output_and_found_again(lab, studio, monkeypatch):
 
 
 def test_stopped_in_a_search_it_goes_on_later(lab, studio, monkeypatch):
-    real = search.anneal
+    real = code_search.anneal
     calls = []
 
     def stopping(problem, **options):
@@ -145,7 +145,7 @@ def test_stopped_in_a_search_it_goes_on_later(lab, studio, monkeypatch):
         calls.append(problem)
         return real(problem, **options | {"progress": stop})
 
-    monkeypatch.setattr(search, "anneal", stopping)
+    monkeypatch.setattr(code_search, "anneal", stopping)
     options = ("--designs", "oracle", "--quick", "-o", "out")
     one_light = TINY.replace("quick_photons = []", "quick_photons = [300.0]")
     Path("tiny.toml").write_text(one_light.replace("quick_motions = 1", "quick_motions = 2"))
@@ -166,7 +166,7 @@ def test_a_search_that_fails_is_told_beside_the_others(lab, studio, monkeypatch)
     def fails(*_arguments, **_options):
         raise ValueError("problem: too hard")
 
-    monkeypatch.setattr(search, "anneal", fails)
+    monkeypatch.setattr(code_search, "anneal", fails)
     lab(*CEP, "--designs", "open,oracle", "--quick", "-o", "out", "--json")
     assert lab.code == FAILURE
     assert set(lab.json["failures"].values()) == {"problem: too hard"}

@@ -22,8 +22,8 @@ from cep.search.annealing.cooling import (
 )
 from cep.search.annealing.proposals import LoopLimits
 from cep.search.annealing.terms import BLOCK
+from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, SearchProblem
 from lab.frames.annealing import anneal_frames, joint_cost, joint_figures, joint_tables
 from motdiff.trajectory import Trajectory
@@ -65,7 +65,7 @@ def every_pair(problem):
 @pytest.mark.parametrize("name", SHORT)
 def test_no_pair_of_short_codes_is_better(name, objective):
     problem = replace(SHORT[name], objective=objective)
-    fine = Objective(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
     pairs = every_pair(problem)
     costs = np.concatenate([joint_cost(fine, pairs[i : i + 64]) for i in range(0, len(pairs), 64)])
     found = anneal_frames(
@@ -160,7 +160,7 @@ def test_no_start_beats_the_frames_returned():
     """Also where the coarse samples that rank the codes would drop it."""
     path = Trajectory.straight(17.3)
     problem = SearchProblem.along(path, chips=16, open_range=(6, 9), objective="min-mtf")
-    fine = Objective(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
     codes = problem.random_codes(60, rng=np.random.default_rng(2))
     starts = [[ShutterCode.from_array(code)] * 2 for code in codes]
     best = joint_cost(fine, np.repeat(codes[:, None], 2, axis=1)).min()
@@ -172,7 +172,7 @@ def test_no_start_beats_the_frames_returned():
 
 def test_two_frames_beat_the_best_code_played_twice():
     problem = SearchProblem(chips=16, open_range=(8, 8), objective="noise")
-    fine = Objective(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
     best = fine.cost_of(every_code(problem)).min()
     found = anneal_frames(problem, 2, rng=np.random.default_rng(0), steps=60_000, threads=1)
     assert found.noise_gain_db < best - 10 * np.log10(2) - 0.3
@@ -232,7 +232,7 @@ def test_bad_arguments_are_named(frames, options, message):
 
 def started(problem, frames, seed=0):
     """Coarse objective, its tables, and a chain of several frames."""
-    coarse = Objective(problem, oversampling=8, dtype=np.float64)
+    coarse = CodeCost(problem, oversampling=8, dtype=np.float64)
     tables = joint_tables(coarse, frames)
     drawn = problem.random_codes(20 * frames, rng=np.random.default_rng(seed)).reshape(
         20, frames, -1

@@ -8,8 +8,8 @@ import pytest
 from cep.files.code_files import read_code
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from cep.search.code_search import SearchOptions
 from cep.search.problem import SearchProblem
-from cep.search.search import Search
 from lab.frames.optimum import frames_verdict, optimize_frames
 from motdiff.trajectory import Trajectory
 
@@ -19,7 +19,7 @@ PROBLEM = SearchProblem.along(BENT, chips=10, objective="noise", chip_ns=5000)
 
 def test_frames_gain_at_least_what_the_single_code_repeated_gains(tmp_path):
     kept = []
-    best = optimize_frames(PROBLEM, Search(steps=500), 2, on_found=kept.append)
+    best = optimize_frames(PROBLEM, SearchOptions(steps=500), 2, on_found=kept.append)
     assert best.joint.noise_gain_db <= best.repeated.noise_gain_db + 1e-9
     assert best.joint.min_chip is None
     (codes,) = kept
@@ -36,9 +36,9 @@ def test_frames_gain_at_least_what_the_single_code_repeated_gains(tmp_path):
 
 
 def test_the_method_is_checked_before_the_search(monkeypatch):
-    monkeypatch.setattr("lab.frames.optimum.search", None)  # not called
+    monkeypatch.setattr("lab.frames.optimum.search_code", None)  # not called
     with pytest.raises(ValueError, match=r"^frames: not valid with method='exact'"):
-        optimize_frames(PROBLEM, Search(method="exact"), 2)
+        optimize_frames(PROBLEM, SearchOptions(method="exact"), 2)
 
 
 def test_the_verdict_on_frames_is_by_all_of_them_together():
@@ -57,7 +57,7 @@ def test_the_verdict_on_frames_is_by_all_of_them_together():
 
 def test_frames_of_a_single_opening_each_are_called_a_shorter_exposure():
     quiet = SearchProblem.along(Trajectory.straight(24.0), chips=24, camera=Camera(read_noise_e=2))
-    best = optimize_frames(replace(quiet, objective="mse"), Search(steps=2000), 2)
+    best = optimize_frames(replace(quiet, objective="mse"), SearchOptions(steps=2000), 2)
     assert {code.pulses for code in best.search.codes} == {1}
     assert best.to_dict()["choice"] == "snapshot"
     assert best.verdict.sentence.startswith("Coding does not pay here: expose 1/24 of the time")

@@ -11,8 +11,8 @@ from cep.optics.code import ShutterCode
 from cep.plots.canvas import png_bytes
 from cep.proofs.certify.minimum import min_chip
 from cep.proofs.measure import measure
+from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.problem import SearchProblem
 from lab.bench.codes import chip_noise_db
 from lab.fronts.front import Front, FrontPoint, knees, non_dominated
@@ -148,7 +148,7 @@ def test_along_a_straight_motion_figures_are_those_of_measure():
 
 def test_along_a_curve_the_front_is_over_noise_and_light():
     problem = SearchProblem.along(arc(), chips=8)
-    fine = Objective(
+    fine = CodeCost(
         SearchProblem.along(arc(), chips=8, objective="noise"), oversampling=64, dtype=np.float64
     )
     codes = np.array([code.array for code in all_codes(8)], dtype=np.int8)

@@ -19,8 +19,8 @@ from cep.search.annealing.cooling import (
 )
 from cep.search.annealing.proposals import LoopLimits, draw_blocks
 from cep.search.annealing.terms import lay_out, work_space
+from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
@@ -64,7 +64,7 @@ PROBLEMS = {
 
 def started(problem, seed=0):
     """Tables, a chain at a random code, and the objective that they are made of."""
-    objective = Objective(problem, oversampling=8, dtype=np.float64)
+    objective = CodeCost(problem, oversampling=8, dtype=np.float64)
     tables = lay_out(objective)
     # not the worst: the loop takes no |P| for smaller than 0.0001
     drawn = problem.random_codes(40, rng=np.random.default_rng(seed)).astype(np.int8)
@@ -189,7 +189,7 @@ def chain_from(problem, tables, code, *, moves, seed, temperatures_db=(0.5, 0.1)
 
 def test_chains_do_the_same_on_any_number_of_threads():
     problem = SearchProblem(chips=20, open_range=(8, 12), objective="noise")
-    tables = lay_out(Objective(problem, oversampling=8))
+    tables = lay_out(CodeCost(problem, oversampling=8))
     starts = problem.random_codes(3, rng=np.random.default_rng(0)).astype(np.int8)
     found = []
     for threads in (1, 3):
@@ -208,7 +208,7 @@ def test_chains_do_the_same_on_any_number_of_threads():
 
 def test_stopped_chains_offer_what_they_have():
     problem = SearchProblem(chips=24, open_range=(12, 12), objective="noise")
-    tables = lay_out(Objective(problem, oversampling=8))
+    tables = lay_out(CodeCost(problem, oversampling=8))
     start = problem.random_codes(1, rng=np.random.default_rng(0)).astype(np.int8)[0]
     codes = []
 
@@ -227,7 +227,7 @@ def test_a_chain_leaves_a_code_with_zeros(objective):
     """Terms of a true zero neither overflow nor stay."""
     chips = 120
     problem = SearchProblem(chips=chips, open_range=(60, 60), objective=objective)
-    coarse = Objective(problem, oversampling=8)
+    coarse = CodeCost(problem, oversampling=8)
     comb = (np.arange(chips) % 2 == 0).astype(np.int8)
     chain = chain_from(
         problem, lay_out(coarse), comb, moves=40_000, seed=1, temperatures_db=(0.1, 0.05)

@@ -8,7 +8,7 @@ import pytest
 
 from cep.optics.response import ShutterResponse
 from cep.search.annealing.polish import cheapest, neighbours, otf_nearby, polish
-from cep.search.objective import Objective
+from cep.search.cost import CodeCost
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
@@ -39,7 +39,7 @@ PROBLEMS = {
 
 
 def started(problem):
-    judge = Objective(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
     code = problem.random_codes(1, rng=np.random.default_rng(3))[0].astype(np.int8)
     return judge, code, neighbours(problem, code, swaps=True)
 
@@ -71,7 +71,7 @@ def test_cheapest_neighbours(name, objective):
 def test_a_polished_code_has_no_better_neighbour(objective):
     problem = SearchProblem(chips=20, open_range=(10, 10), objective=objective)
     ranked = problem.random_codes(3, rng=np.random.default_rng(0)).astype(np.int8)
-    fine = Objective(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
     told = list(polish(fine, ranked))
     costs = [one.cost for one in told]
     fractions = [one.done for one in told]

@@ -12,8 +12,8 @@ from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.anneal import anneal, run_chains
 from cep.search.annealing.sweeps import sweep, sweep_tables, sweeps, swept
+from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.optima import proven_optimum
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
@@ -36,8 +36,8 @@ def fine_powers(objective, codes):
 def test_moves_keep_the_limits_and_the_deepest_codes(name):
     problem = PROBLEMS[name]
     assert swept(problem)
-    judge = Objective(problem, oversampling=64, dtype=np.float64)
-    tables = sweep_tables(Objective(problem, oversampling=8), judge)
+    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
+    tables = sweep_tables(CodeCost(problem, oversampling=8), judge)
     random = np.array([77], np.uint64)
     code = problem.random_codes(1, rng=np.random.default_rng(0))[0].astype(np.int8)
     deepest = np.zeros(1)
@@ -66,8 +66,8 @@ def test_moves_keep_the_limits_and_the_deepest_codes(name):
 
 def test_a_cold_sweep_only_improves():
     problem = PROBLEMS["circle"]
-    judge = Objective(problem, oversampling=64, dtype=np.float64)
-    tables = sweep_tables(Objective(problem, oversampling=8), judge)
+    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
+    tables = sweep_tables(CodeCost(problem, oversampling=8), judge)
     random = np.array([5], np.uint64)
     code = problem.random_codes(1, rng=np.random.default_rng(3))[0].astype(np.int8)
     costs = []
@@ -92,8 +92,8 @@ def test_a_zero_between_the_samples_of_the_moves_is_seen():
     """At 8 samples per 1 / chips a code with a zero may look better than each code with a true
     minimum as large."""
     problem = SearchProblem(chips=52, open_range=(26, 26))
-    objective = Objective(problem, oversampling=8)
-    judge = Objective(problem, oversampling=64)
+    objective = CodeCost(problem, oversampling=8)
+    judge = CodeCost(problem, oversampling=64)
     tables = sweep_tables(objective, judge)
     codes = []
     chains = [
@@ -110,7 +110,7 @@ def test_the_best_of_all_codes_is_found(light):
     problem = SearchProblem(chips=12, open_range=light)
     every = np.array(list(product((0, 1), repeat=12)), np.int8)
     every = every[problem.satisfied(every)]
-    best = fine_powers(Objective(problem, oversampling=64, dtype=np.float64), every).max() ** 0.5
+    best = fine_powers(CodeCost(problem, oversampling=64, dtype=np.float64), every).max() ** 0.5
     found = anneal(problem, rng=np.random.default_rng(1), steps=400_000, threads=1)
     assert min_chip(found.code) == pytest.approx(best, rel=1e-3)
 
@@ -124,8 +124,8 @@ def test_proven_optima_are_found_without_their_table(chips):
 
 def test_the_seed_decides_not_the_threads():
     problem = SearchProblem(chips=40, open_range=(18, 24))
-    objective = Objective(problem, oversampling=8)
-    judge = Objective(problem, oversampling=64)
+    objective = CodeCost(problem, oversampling=8)
+    judge = CodeCost(problem, oversampling=64)
     offered = []
     for threads in (1, 3):
         codes = []

@@ -11,7 +11,7 @@ from cep.codes.published import published
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import measure
-from cep.search import search
+from cep.search import code_search
 from lab.bench.coded.designs import DESIGNS, MotionPrior, design_code
 from lab.bench.coded.protocol import (
     class_motions,
@@ -89,14 +89,14 @@ def test_each_design_minimises_what_it_should():
 
 
 def test_searches_use_one_thread_and_the_same_budget(monkeypatch):
-    real = search.anneal
+    real = code_search.anneal
     seen = []
 
     def watched(problem, **options):
         seen.append(options)
         return real(problem, **options)
 
-    monkeypatch.setattr(search, "anneal", watched)
+    monkeypatch.setattr(code_search, "anneal", watched)
     for design in ("dnf", "oracle", "posterior"):
         chosen(design)
     assert [(options["threads"], options["steps"]) for options in seen] == [(1, 800)] * 3
@@ -106,13 +106,15 @@ def test_searches_use_one_thread_and_the_same_budget(monkeypatch):
 def test_an_interrupted_search_is_not_taken_for_a_finished_one(monkeypatch, design):
     """The search itself returns its best so far after Ctrl-C; kept as a cell it would stand for
     the whole budget."""
-    real = search.anneal
+    real = code_search.anneal
 
     def stop(_fraction, _best):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(
-        search, "anneal", lambda problem, **options: real(problem, **options | {"progress": stop})
+        code_search,
+        "anneal",
+        lambda problem, **options: real(problem, **options | {"progress": stop}),
     )
     with pytest.raises(KeyboardInterrupt):
         chosen(design, steps=10**6)

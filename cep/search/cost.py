@@ -1,6 +1,6 @@
-"""Cost of codes on a problem's sampled frequencies, in decibels: a mix of criteria.
+"""Cost of codes on a problem's sampled frequencies, in decibels: a mix of its objectives.
 
-The criteria are those of :data:`cep.search.objectives.OBJECTIVES`.
+The objectives are those of :data:`cep.search.objectives.OBJECTIVES`.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from cep.search.problem import Scenario, SearchProblem
 
 RealArray = NDArray[Any]
 FINE: dict[str, Any] = {"oversampling": 64, "dtype": np.float64}
-"""An :class:`Objective` by which codes are judged in the end: 8 samples hide zeros between them,
+"""A :class:`CodeCost` by which codes are judged in the end: 8 samples hide zeros between them,
 and float32 ranks codes that are almost as good by rounding."""
 
 
@@ -38,8 +38,8 @@ class Part:
     reversed_path: bool
 
 
-class Objective:
-    """A problem's objective on sampled frequencies.
+class CodeCost:
+    """Cost of codes by a problem's objective, on sampled frequencies.
 
     Parameters
     ----------
@@ -122,16 +122,16 @@ class Objective:
         shares = np.array([s.weight for s in problem.scenarios] or [1.0])
         self.scenario_shares: NDArray[np.float64] = shares / shares.sum()
 
-    def instead(self, objective: str | tuple[tuple[str, float], ...]) -> Objective:
+    def instead(self, objective: str | tuple[tuple[str, float], ...]) -> CodeCost:
         """Judge by another objective on the same samples; the tables are shared."""
         return self.for_problem(replace(self.problem, objective=objective))
 
-    def for_problem(self, problem: SearchProblem) -> Objective:
+    def for_problem(self, problem: SearchProblem) -> CodeCost:
         """Judge by a problem with another objective, camera or limits, on the same samples."""
-        objective = copy(self)
-        objective.problem = problem
-        objective._set_noise()
-        return objective
+        code_cost = copy(self)
+        code_cost.problem = problem
+        code_cost._set_noise()
+        return code_cost
 
     def _set_noise(self) -> None:
         camera = self.problem.camera

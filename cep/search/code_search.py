@@ -20,11 +20,11 @@ from typing import Any, Literal
 import numpy as np
 
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import SearchResult, anneal, standard_moves
+from cep.search.annealing.anneal import AnnealingResult, anneal, standard_moves
 from cep.search.baselines import Baseline, find_baselines
+from cep.search.cost import FINE, CodeCost
 from cep.search.exhaustive.exact import ExactResult, ProofLog, codes_to_count, exact
 from cep.search.limits import nearest
-from cep.search.objective import FINE, Objective
 from cep.search.optima import proven_optimum, proven_starts
 from cep.search.problem import SearchProblem
 
@@ -39,7 +39,7 @@ _LEAST_SHARE = 0.5  # of the time limit that the annealing has, however long the
 
 
 @dataclass(frozen=True, kw_only=True)
-class Search:
+class SearchOptions:
     """How a code is searched.
 
     Attributes
@@ -94,7 +94,7 @@ class Search:
 
 
 @dataclass(frozen=True)
-class SearchOutcome(SearchResult):
+class SearchResult(AnnealingResult):
     """What a search or a proof came to.
 
     Its ``steps`` are the moves tried or the codes counted, and ``seconds`` are the baselines' as
@@ -121,16 +121,16 @@ def searched_problem(problem: SearchProblem) -> SearchProblem:
     return problem
 
 
-def search(
+def search_code(
     problem: SearchProblem,
-    how: Search,
+    how: SearchOptions,
     *,
     rng: np.random.Generator | None = None,
     start: Iterable[ShutterCode] = (),
     length_px: float | None = None,
     threads: int | None = None,
     progress: Callable[[float, ShutterCode], None] | None = None,
-) -> SearchOutcome:
+) -> SearchResult:
     """Search a code, or count all codes for the best; a limit or Ctrl-C returns the best so far.
 
     Where a bundled proof covers the problem, its code is returned without a search.
@@ -138,7 +138,7 @@ def search(
     Parameters
     ----------
     problem : SearchProblem
-    how : Search
+    how : SearchOptions
         What the baselines take counts against the time, but for the half of it that an annealing
         has in any case.
     rng : numpy Generator, optional
@@ -154,7 +154,7 @@ def search(
 
     Returns
     -------
-    SearchOutcome
+    SearchResult
         No baseline within the limits has a lower cost. Along a path a proof is over the band's
         samples, though: it stands, whatever a baseline is worth between them.
 
@@ -173,7 +173,7 @@ def search(
     if proven is None:
         # the search's draws must not depend on how many the baselines take
         for_baselines, rng = rng.spawn(2)
-    judge = Objective(problem, **FINE)
+    judge = CodeCost(problem, **FINE)
     rivals: list[Baseline] = []
     interrupted = False
     try:
@@ -193,7 +193,7 @@ def search(
     if interrupted:
         # before the annealing: any code within the limits, if no baseline keeps them
         code = ShutterCode.from_array(problem.random_codes(1, rng=rng)[0])
-        result = SearchResult(code, judge.exact_cost(code), 0.0, 0, "interrupted")
+        result = AnnealingResult(code, judge.exact_cost(code), 0.0, 0, "interrupted")
     else:
         left_s = how.limit_s - (time.monotonic() - started)
         result = anneal(
@@ -208,12 +208,12 @@ def search(
         )
     code, cost_db = _best_of(result.code, result.objective, rivals)
     seconds = time.monotonic() - started
-    return SearchOutcome(code, cost_db, seconds, result.steps, result.stopped, tuple(rivals))
+    return SearchResult(code, cost_db, seconds, result.steps, result.stopped, tuple(rivals))
 
 
 def _proven_outcome(
-    problem: SearchProblem, proven: ExactResult, judge: Objective, rivals: Sequence[Baseline]
-) -> SearchOutcome:
+    problem: SearchProblem, proven: ExactResult, judge: CodeCost, rivals: Sequence[Baseline]
+) -> SearchResult:
     """Return what a count of all codes came to; where Ctrl-C ended it, a rival may be better."""
     code = proven.code
     cost_db = judge.exact_cost(code)
@@ -223,7 +223,7 @@ def _proven_outcome(
     counted = 0  # by a proof that comes with the package
     if isinstance(proven.proof, ProofLog):
         counted = codes_to_count(problem)
-    return SearchOutcome(
+    return SearchResult(
         code,
         cost_db,
         proven.seconds,
@@ -263,7 +263,7 @@ def _best_of(
 
 
 def described_search(
-    problem: SearchProblem, how: Search, *, steps: int, stopped: str
+    problem: SearchProblem, how: SearchOptions, *, steps: int, stopped: str
 ) -> dict[str, Any]:
     """Describe a problem, how it was searched and how that ended, as a code file does."""
     return {
@@ -283,7 +283,7 @@ def described_search(
     }
 
 
-def ended_early(how: Search, stopped: str, moves: int | None) -> list[str]:
+def ended_early(how: SearchOptions, stopped: str, moves: int | None) -> list[str]:
     """Warn of a search that Ctrl-C or the time ended before its ``moves``."""
     if stopped == "interrupted":
         run = {"anneal": "search", "exact": "proof"}[how.method]

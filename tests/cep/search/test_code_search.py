@@ -12,12 +12,12 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.search import baselines as baselines_module
-from cep.search import search as search_module
+from cep.search import code_search as search_module
 from cep.search.baselines import find_baselines
+from cep.search.code_search import SearchOptions, search_code
+from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
-from cep.search.objective import Objective
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
-from cep.search.search import Search, search
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -43,12 +43,12 @@ def test_the_baselines_of_a_straight_line():
         "length-only code",
         "random code, median",
     }
-    judge = Objective(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
     for row in rows.values():
         assert row.cost_db == judge.exact_cost(row.code)
         assert row.within_limits == (7 <= row.code.open_chips <= 9)
     assert rows["open shutter"].code.duty == 1
-    found = search(problem, Search(steps=5000))
+    found = search_code(problem, SearchOptions(steps=5000))
     # along a straight line the length is all there is to know
     assert rows["length-only code"].cost_db == pytest.approx(found.objective, abs=0.5)
 
@@ -60,7 +60,7 @@ def test_no_other_single_run_beats_the_snapshot(objective, chips):
     problem = SearchProblem.along(BENT, chips=chips, open_range=(3, 6), objective=objective)
     found = named(problem)["best snapshot"]
     assert found.code.pulses == 1
-    judge = Objective(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
     starts = range(0, chips, 1 if chips == 9 else 7)
     best = min(
         judge.exact_cost(ShutterCode(("0" * first + "1" * length).ljust(chips, "0")))
@@ -72,7 +72,7 @@ def test_no_other_single_run_beats_the_snapshot(objective, chips):
 
 def test_the_random_code_is_the_middle_one():
     problem = SearchProblem.along(BENT, chips=9, open_range=(3, 6), objective="mse")
-    judge = Objective(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
     low, high = np.percentile(
         judge.cost_of(problem.random_codes(100, rng=np.random.default_rng(5))), (10, 90)
     )
@@ -111,7 +111,7 @@ def test_what_the_baselines_take_is_off_the_time_but_for_half_of_it(monkeypatch)
     monkeypatch.setattr(search_module, "anneal", searched)
     monkeypatch.setattr(search_module, "time", SimpleNamespace(monotonic=lambda: now[0]))
     for _ in range(2):
-        search(SearchProblem.along(BENT, chips=9), Search(time_s=10.0))
+        search_code(SearchProblem.along(BENT, chips=9), SearchOptions(time_s=10.0))
     assert limits == [8.0, 5.0]
 
 
@@ -124,7 +124,7 @@ def test_ctrl_c_among_the_baselines_returns_the_best_so_far(monkeypatch, at):
     whole = tuple(find_baselines(problem, rng=np.random.default_rng(0)))
     monkeypatch.setattr(baselines_module, at, interrupted)
     monkeypatch.setattr(search_module, "anneal", None)  # not called
-    found = search(problem, Search())
+    found = search_code(problem, SearchOptions())
     assert found.stopped == "interrupted"
     assert len(found.baselines) < len(whole)
     assert problem.allows(found.code)
@@ -138,7 +138,7 @@ def test_a_search_that_ends_worse_than_a_baseline_returns_it(monkeypatch):
     problem = SearchProblem.along(BENT, chips=9, open_range=(3, 6), objective="mse")
     poor = SimpleNamespace(code=ShutterCode("101010000"), objective=99.0, steps=1, stopped="steps")
     monkeypatch.setattr(search_module, "anneal", lambda _problem, **_options: poor)
-    found = search(problem, Search())
+    found = search_code(problem, SearchOptions())
     kept = {row.code: row.cost_db for row in found.baselines if row.within_limits}
     assert found.objective == kept[found.code] == min(kept.values())
 
@@ -191,9 +191,9 @@ def problems(draw):
 @settings(max_examples=40, deadline=None)
 @given(problems(), st.integers(1, 400), st.integers(0, 9))
 def test_no_baseline_within_the_limits_beats_the_code(problem, steps, seed):
-    found = search(problem, Search(steps=steps, seed=seed), threads=1)
+    found = search_code(problem, SearchOptions(steps=steps, seed=seed), threads=1)
     assert problem.allows(found.code)
-    judge = Objective(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
     assert found.objective == judge.exact_cost(found.code)
     for row in found.baselines:
         assert row.within_limits == problem.allows(row.code)
@@ -204,7 +204,8 @@ def test_no_baseline_within_the_limits_beats_the_code(problem, steps, seed):
 def test_the_same_seed_and_moves_give_the_same_code_and_table():
     problem = SearchProblem.along(BENT, chips=16, open_range=(6, 9), objective="mse")
     one, other = (
-        search(problem, Search(steps=2000, seed=5), threads=threads) for threads in (1, 2)
+        search_code(problem, SearchOptions(steps=2000, seed=5), threads=threads)
+        for threads in (1, 2)
     )
     assert (one.code, one.objective, one.baselines) == (
         other.code,
@@ -220,7 +221,7 @@ def test_a_stopped_proof_returns_a_baseline_that_is_better(monkeypatch):
     def stop(_fraction, _best):
         raise KeyboardInterrupt
 
-    found = search(problem, Search(method="exact"), progress=stop)
+    found = search_code(problem, SearchOptions(method="exact"), progress=stop)
     assert found.stopped == "interrupted"
     assert found.objective <= min(row.cost_db for row in found.baselines if row.within_limits)
-    assert search(problem, Search(method="exact")).code.bits == "1111100110101"
+    assert search_code(problem, SearchOptions(method="exact")).code.bits == "1111100110101"
