@@ -23,7 +23,7 @@ MOST = {
     "cep/proofs": 1,
     "cep/search": 5,
     "lab/bench": 4,
-    "lab/block_proofs": 29,
+    "lab/block_proofs": 10,
     "lab/fronts": 1,
     "lab/jobs": 2,
     "motdiff/estimators": 1,

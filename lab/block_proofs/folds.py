@@ -87,6 +87,54 @@ class Folding(NamedTuple):
     limit2: np.float32
 
 
+class WorkSpace(NamedTuple):
+    """Arrays that a scan fills anew for each fold.
+
+    Attributes
+    ----------
+    g, f : (q,), (2 q,) int64
+        Sums of chips a quarter apart, and a half.
+    d_places, d_number, d_value : (q,) int64
+        Places of the differences d that a fold leaves open; how many values each takes, and one.
+    d_low : (q,) float32
+        The first of each one's values, which are two apart.
+    e_places : (2 q,) int64
+        Places of the differences e that are not 0.
+    d_table, e_table : (F, 2, blocks, 16) float32
+        Sums of the waves of all combinations of the first places.
+    d_outer, e_outer : (2, 16) float32
+        Sum of the waves of the other places.
+    signs : (4, 16) float32
+        Both signs of four places, all combinations.
+    d_indices, e_indices : (C,) int64
+        Combinations in a table that are not below the limit.
+    keep : (16,) float32
+    sums, more_sums : (2, 16) float32
+        Of a code's waves.
+    opened_at : (N,) int64
+        Places of a code's open chips.
+    """
+
+    g: Counts
+    f: Counts
+    d_places: Counts
+    d_number: Counts
+    d_value: Counts
+    d_low: Floats
+    e_places: Counts
+    d_table: Floats
+    e_table: Floats
+    d_outer: Floats
+    e_outer: Floats
+    signs: Floats
+    d_indices: Counts
+    e_indices: Counts
+    keep: Floats
+    sums: Floats
+    more_sums: Floats
+    opened_at: Counts
+
+
 def folding(chips: int, open_range: tuple[int, int], limit: float) -> Folding:
     """Set up a scan of codes of at most so many chips for those whose |P| may be nowhere below the
     limit.
@@ -168,11 +216,11 @@ def _letters(index: int, count: int, into: Counts, at: int) -> bool:
 
 
 @compiled
-def _codes_of(g: Counts, ways: Counts, fewest: int, most: int) -> int:
+def _codes_of(g: Counts, multiplicity: Counts, fewest: int, most: int) -> int:
     """Codes that a fold accounts for; 0 where its open chips are out of range, or another of its
     images is the larger.
 
-    ``ways`` has the number of four chips with each sum.
+    ``multiplicity`` has the number of four chips with each sum.
     """
     open_chips = 0
     packed = 0
@@ -185,7 +233,7 @@ def _codes_of(g: Counts, ways: Counts, fewest: int, most: int) -> int:
     if codes == 0:
         return 0
     for i in range(g.size):
-        codes *= ways[g[i]]
+        codes *= multiplicity[g[i]]
     return codes
 
 
@@ -222,14 +270,14 @@ def _spread(
         flat[j, 1, 0] = 0.0
     for i in range(until):
         for j in range(flat.shape[0]):
-            for part in range(2):
-                wave = waves[places[i], part, j]
-                known = flat[j, part, :count]
+            for axis in range(2):
+                wave = waves[places[i], axis, j]
+                summed = flat[j, axis, :count]
                 for k in range(number[i] - 1, -1, -1):
-                    new = flat[j, part, k * count : (k + 1) * count]
+                    new = flat[j, axis, k * count : (k + 1) * count]
                     add = (low[i] + np.float32(2 * k)) * wave
                     for c in range(count):
-                        new[c] = known[c] + add
+                        new[c] = summed[c] + add
         count *= number[i]
     return count
 
@@ -240,27 +288,27 @@ def _spread_signs(places: Counts, within: int, waves: Floats, signs: Floats, tab
     how many blocks.
     """
     for j in range(table.shape[0]):
-        for part in range(2):
-            first = waves[places[0], part, j]
-            w1 = waves[places[1], part, j] if within > 1 else np.float32(0)
-            w2 = waves[places[2], part, j] if within > 2 else np.float32(0)
-            w3 = waves[places[3], part, j] if within > 3 else np.float32(0)
-            w4 = waves[places[4], part, j] if within > 4 else np.float32(0)
+        for axis in range(2):
+            first = waves[places[0], axis, j]
+            w1 = waves[places[1], axis, j] if within > 1 else np.float32(0)
+            w2 = waves[places[2], axis, j] if within > 2 else np.float32(0)
+            w3 = waves[places[3], axis, j] if within > 3 else np.float32(0)
+            w4 = waves[places[4], axis, j] if within > 4 else np.float32(0)
             for i in range(5, within):
-                first -= waves[places[i], part, j]
+                first -= waves[places[i], axis, j]
             for q in range(LANES):
-                table[j, part, 0, q] = (
+                table[j, axis, 0, q] = (
                     (first + signs[0, q] * w1)
                     + signs[1, q] * w2
                     + (signs[2, q] * w3 + signs[3, q] * w4)
                 )
-            known = 1
+            filled = 1
             for i in range(5, within):
-                add = np.float32(2) * waves[places[i], part, j]
-                for block in range(known):
+                add = np.float32(2) * waves[places[i], axis, j]
+                for block in range(filled):
                     for q in range(LANES):
-                        table[j, part, known + block, q] = table[j, part, block, q] + add
-                known *= 2
+                        table[j, axis, filled + block, q] = table[j, axis, block, q] + add
+                filled *= 2
     return 1 << max(within - 5, 0)
 
 
@@ -279,11 +327,11 @@ def _kept(
     """
     number = 0
     for block in range(blocks):
-        some = np.float32(1)
+        remaining = np.float32(1)
         for q in range(LANES):
             keep[q] = np.float32(1)
         for j in range(0, table.shape[0], 4):  # F is a multiple of four
-            some = np.float32(0)
+            remaining = np.float32(0)
             x0 = outer[0, j]
             y0 = outer[1, j]
             x1 = outer[0, j + 1]
@@ -305,12 +353,12 @@ def _kept(
                     min(a0 * a0 + b0 * b0, a1 * a1 + b1 * b1),
                     min(a2 * a2 + b2 * b2, a3 * a3 + b3 * b3),
                 )
-                left = keep[q] if low >= limit2 else np.float32(0)
-                keep[q] = left
-                some += left
-            if some == 0:
+                lane = keep[q] if low >= limit2 else np.float32(0)
+                keep[q] = lane
+                remaining += lane
+            if remaining == 0:
                 break
-        if some > 0:
+        if remaining > 0:
             for q in range(LANES):
                 if keep[q] > 0 and block * LANES + q < count:
                     out[number] = block * LANES + q
@@ -353,19 +401,19 @@ def _reaches(
 def _turns(
     code: np.uint64,
     fold: Folding,
-    places: Counts,
-    sums: Floats,
-    more: Floats,
-    found: Words,
+    work: WorkSpace,
+    survivors: Words,
     number: int,
     counts: Counts,
 ) -> int:
-    """Judge the codes that begin at each open chip of a ring; returns the number found so far, -1
-    for too many.
+    """Judge the codes that begin at each open chip of a ring; returns the number of survivors so
+    far, -1 for too many.
     """
     ring = 4 * fold.quarter
     between = fold.between
     limit2 = fold.limit2
+    places = work.opened_at
+    sums = work.sums
     # a length known only at run time: such loops become vector instructions
     lanes = sums.shape[1]
     open_chips = 0
@@ -390,11 +438,11 @@ def _turns(
                 below += sums[0, q] * sums[0, q] + sums[1, q] * sums[1, q] < limit2
             if below == 0:
                 rotated = _turned(code, at, ring)
-                if _reaches(rotated, ring, between, limit2, more):
+                if _reaches(rotated, ring, between, limit2, work.more_sums):
                     counts[7] += 1
-                    if number == found.size:
+                    if number == survivors.size:
                         return -1
-                    found[number] = rotated
+                    survivors[number] = rotated
                     number += 1
         # this chip moves behind the others, where the wave has the other sign
         for q in range(lanes):
@@ -404,16 +452,205 @@ def _turns(
 
 
 @compiled
-def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: Counts) -> int:
+def _work_space(fold: Folding) -> WorkSpace:
+    """Make the arrays of a scan."""
+    quarter = fold.quarter
+    half = 2 * quarter
+    blocks = 3 * _INNER // LANES
+    signs = np.zeros((4, LANES), np.float32)
+    for q in range(LANES):
+        for i in range(4):
+            signs[i, q] = 2 * ((q >> i) & 1) - 1
+    return WorkSpace(
+        np.zeros(quarter, np.int64),
+        np.zeros(half, np.int64),
+        np.zeros(quarter, np.int64),
+        np.zeros(quarter, np.int64),
+        np.zeros(quarter, np.int64),
+        np.zeros(quarter, np.float32),
+        np.zeros(half, np.int64),
+        np.zeros((fold.d_waves.shape[2], 2, blocks, LANES), np.float32),
+        np.zeros((-(-quarter // 4) * 4, 2, 1 << (_WITHIN - 5), LANES), np.float32),
+        np.zeros((2, LANES), np.float32),
+        np.zeros((2, LANES), np.float32),
+        signs,
+        np.zeros(blocks * LANES, np.int64),
+        np.zeros(1 << (_WITHIN - 1), np.int64),
+        np.zeros(LANES, np.float32),
+        np.zeros((2, LANES), np.float32),
+        np.zeros((2, LANES), np.float32),
+        np.zeros(2 * half, np.int64),
+    )
+
+
+@inlined
+def _is_below(g: Counts, waves: Floats, limit2: np.float32) -> bool:
+    """Whether |P|^2 is below the limit at a root that depends on the sums g alone."""
+    for j in range(waves.shape[2]):
+        x = np.float32(0)
+        y = np.float32(0)
+        for i in range(g.size):
+            x += g[i] * waves[i, 0, j]
+            y += g[i] * waves[i, 1, j]
+        if x * x + y * y < limit2:
+            return True
+    return False
+
+
+@inlined
+def _open_differences(work: WorkSpace) -> int:
+    """List the places whose d the sums g leave open, with the values of each; returns how many."""
+    g = work.g
+    low = work.d_low
+    number = work.d_number
+    count = 0
+    fixed = -1
+    for i in range(g.size):
+        if 0 < g[i] < 4:
+            work.d_places[count] = i
+            low[count], number[count] = (-2.0, 3) if g[i] == 2 else (-1.0, 2)
+            if fixed < 0 or (g[i] != 2 and number[fixed] == 3):
+                fixed = count
+            count += 1
+    if count == 0:
+        return 0
+    # the sign of one is free, as the ring may be turned by a quarter
+    if number[fixed] == 3:
+        low[fixed], number[fixed] = 0.0, 2
+    else:
+        low[fixed], number[fixed] = 1.0, 1
+    return count
+
+
+@inlined
+def _set_outer_differences(
+    outside: int, inner: int, count: int, waves: Floats, work: WorkSpace
+) -> None:
+    """Choose the values d of the places from ``inner`` on, by number, and sum their waves."""
+    work.d_outer[:] = np.float32(0)
+    for i in range(inner, count):
+        value = work.d_low[i] + np.float32(2 * (outside % work.d_number[i]))
+        work.d_value[i] = np.int64(value)
+        outside //= work.d_number[i]
+        for axis in range(2):
+            for j in range(waves.shape[2]):
+                work.d_outer[axis, j] += value * waves[work.d_places[i], axis, j]
+
+
+@inlined
+def _set_half_sums(combination: int, inner: int, count: int, work: WorkSpace) -> None:
+    """Choose the values d of the first ``inner`` places, by number, and set all sums f."""
+    g = work.g
+    f = work.f
+    quarter = g.size
+    for i in range(inner):
+        work.d_value[i] = np.int64(work.d_low[i]) + 2 * (combination % work.d_number[i])
+        combination //= work.d_number[i]
+    for i in range(quarter):
+        f[i], f[i + quarter] = g[i] // 2, g[i] // 2
+    for i in range(count):
+        at = work.d_places[i]
+        f[at], f[at + quarter] = (g[at] + work.d_value[i]) // 2, (g[at] - work.d_value[i]) // 2
+
+
+@inlined
+def _set_outer_signs(around: int, within: int, count: int, waves: Floats, work: WorkSpace) -> None:
+    """Choose the signs e of the places from ``within`` on, by number, and sum their waves."""
+    work.e_outer[:] = np.float32(0)
+    for i in range(within, count):
+        sign = np.float32(2 * ((around >> (i - within)) & 1) - 1)
+        at = work.e_places[i]
+        for q in range(LANES):
+            work.e_outer[0, q] += sign * waves[at, 0, q]
+            work.e_outer[1, q] += sign * waves[at, 1, q]
+
+
+@inlined
+def _scan_rings(
+    fold: Folding, work: WorkSpace, survivors: Words, number: int, counts: Counts
+) -> int:
+    """Judge all codes whose chips half a ring apart have the sums f; returns as :func:`_turns`."""
+    half = work.f.size
+    unit = np.uint64(1)
+    one_code = np.int64(1)
+    places = work.e_places
+    count = 0
+    twice_open = np.uint64(0)
+    for i in range(half):
+        if work.f[i] == 2:
+            twice_open |= (unit << np.uint64(i)) | (unit << np.uint64(i + half))
+        elif work.f[i] == 1:
+            places[count] = i
+            count += 1
+    if count == 0:
+        return number  # no difference, |P| = 0
+    within = min(count, _WITHIN)
+    blocks = _spread_signs(places, within, fold.e_waves, work.signs, work.e_table)
+    size = 1 << (within - 1)
+    counts[4] += one_code << (count - 1)
+    for around in range(one_code << (count - within)):
+        _set_outer_signs(around, within, count, fold.e_waves, work)
+        reaching = _kept(
+            work.e_outer, work.e_table, blocks, size, fold.limit2, work.keep, work.e_indices
+        )
+        counts[5] += reaching
+        for index in range(reaching):
+            # the sign of the first is free, as the ring may be turned by a half
+            code = twice_open | (unit << np.uint64(places[0]))
+            signs = work.e_indices[index] | (around << (within - 1))
+            for i in range(1, count):
+                code |= unit << np.uint64(places[i] + (0 if signs & 1 else half))
+                signs >>= 1
+            number = _turns(code, fold, work, survivors, number, counts)
+            if number < 0:
+                return -1
+    return number
+
+
+@inlined
+def _scan_halves(
+    fold: Folding, work: WorkSpace, survivors: Words, number: int, counts: Counts
+) -> int:
+    """Judge all codes whose chips a quarter apart have the sums g; returns as :func:`_turns`."""
+    count = _open_differences(work)
+    if count == 0:
+        return number  # every f is 0 or 2 or its neighbour's: no difference, |P| = 0
+    inner = 0
+    size = 1
+    while inner < count and size < _INNER:
+        size *= work.d_number[inner]
+        inner += 1
+    table = work.d_table
+    flat = table.reshape((table.shape[0], 2, table.shape[2] * LANES))
+    size = _spread(work.d_low, work.d_number, work.d_places, inner, fold.d_waves, flat)
+    outer_count = 1
+    for i in range(inner, count):
+        outer_count *= work.d_number[i]
+    counts[2] += size * outer_count
+    blocks = (size + LANES - 1) // LANES
+    for outside in range(outer_count):
+        _set_outer_differences(outside, inner, count, fold.d_waves, work)
+        reaching = _kept(work.d_outer, table, blocks, size, fold.limit2, work.keep, work.d_indices)
+        counts[3] += reaching
+        for index in range(reaching):
+            _set_half_sums(work.d_indices[index], inner, count, work)
+            number = _scan_rings(fold, work, survivors, number, counts)
+            if number < 0:
+                return -1
+    return number
+
+
+@compiled
+def scan_prefixes(first: int, until: int, fold: Folding, survivors: Words, counts: Counts) -> int:
     """Go through all codes whose folds have a prefix within a range; returns how many were written
-    to ``found``.
+    to ``survivors``.
 
     Parameters
     ----------
     first, until : int
         Range of prefixes, read as numbers to the base 5.
     fold : Folding
-    found : (M,) uint64
+    survivors : (M,) uint64
         Codes that reach the limit at all 8 N samples of the circle, the first chip in the lowest
         bit.
     counts : (9,) int64
@@ -423,150 +660,27 @@ def scan_prefixes(first: int, until: int, fold: Folding, found: Words, counts: C
     Returns
     -------
     int
-        -1 where ``found`` is too small.
+        -1 where ``survivors`` is too small.
     """
-    quarter = fold.quarter
     prefix = fold.prefix
-    limit2 = fold.limit2
-    half = 2 * quarter
-    suffix = quarter - prefix
+    suffix = fold.quarter - prefix
     binomials = np.array([1, 4, 6, 4, 1])
-    g = np.zeros(quarter, np.int64)
-    f = np.zeros(half, np.int64)
-    d_places = np.zeros(quarter, np.int64)
-    d_number = np.zeros(quarter, np.int64)
-    d_low = np.zeros(quarter, np.float32)
-    e_places = np.zeros(half, np.int64)
-    d_value = np.zeros(quarter, np.int64)
-    blocks = 3 * _INNER // LANES
-    d_flat = np.zeros((fold.d_waves.shape[2], 2, blocks * LANES), np.float32)
-    d_table = d_flat.reshape((d_flat.shape[0], 2, blocks, LANES))
-    e_table = np.zeros((-(-quarter // 4) * 4, 2, 1 << (_WITHIN - 5), LANES), np.float32)
-    signs = np.zeros((4, LANES), np.float32)
-    for q in range(LANES):
-        for i in range(4):
-            signs[i, q] = 2 * ((q >> i) & 1) - 1
-    d_outer = np.zeros((2, LANES), np.float32)
-    e_outer = np.zeros((2, LANES), np.float32)
-    d_kept = np.zeros(blocks * LANES, np.int64)
-    e_kept = np.zeros(1 << (_WITHIN - 1), np.int64)
-    keep = np.zeros(LANES, np.float32)
-    sums = np.zeros((2, LANES), np.float32)
-    more = np.zeros((2, LANES), np.float32)
-    opened_at = np.zeros(4 * quarter, np.int64)
-    unit = np.uint64(1)
-    one_code = np.int64(1)
+    work = _work_space(fold)
     number = 0
     for p in range(first, until):
-        if not _letters(p, prefix, g, 0):
+        if not _letters(p, prefix, work.g, 0):
             continue
         for s in range(5**suffix):
-            _letters(s, suffix, g, prefix)
-            codes = _codes_of(g, binomials, fold.fewest, fold.most)
+            _letters(s, suffix, work.g, prefix)
+            codes = _codes_of(work.g, binomials, fold.fewest, fold.most)
             if codes == 0:
                 continue
             counts[0] += 1
             counts[8] += codes
-            below = False
-            for j in range(fold.g_waves.shape[2]):
-                x = np.float32(0)
-                y = np.float32(0)
-                for i in range(quarter):
-                    x += g[i] * fold.g_waves[i, 0, j]
-                    y += g[i] * fold.g_waves[i, 1, j]
-                if x * x + y * y < limit2:
-                    below = True
-                    break
-            if below:
+            if _is_below(work.g, fold.g_waves, fold.limit2):
                 continue
             counts[1] += 1
-            # the differences d; the sign of one is free, as the ring may be turned by a quarter
-            d_count = 0
-            fixed = -1
-            for i in range(quarter):
-                if 0 < g[i] < 4:
-                    d_places[d_count] = i
-                    d_low[d_count], d_number[d_count] = (-2.0, 3) if g[i] == 2 else (-1.0, 2)
-                    if fixed < 0 or (g[i] != 2 and d_number[fixed] == 3):
-                        fixed = d_count
-                    d_count += 1
-            if d_count == 0:
-                continue  # every f is 0 or 2 or its neighbour's: no difference, |P| = 0
-            if d_number[fixed] == 3:
-                d_low[fixed], d_number[fixed] = 0.0, 2
-            else:
-                d_low[fixed], d_number[fixed] = 1.0, 1
-            inner = 0
-            size = 1
-            while inner < d_count and size < _INNER:
-                size *= d_number[inner]
-                inner += 1
-            d_size = _spread(d_low, d_number, d_places, inner, fold.d_waves, d_flat)
-            d_outside = 1
-            for i in range(inner, d_count):
-                d_outside *= d_number[i]
-            counts[2] += d_size * d_outside
-            for outside in range(d_outside):
-                d_outer[:] = np.float32(0)
-                rest = outside
-                for i in range(inner, d_count):
-                    value = d_low[i] + np.float32(2 * (rest % d_number[i]))
-                    d_value[i] = np.int64(value)
-                    rest //= d_number[i]
-                    for part in range(2):
-                        for j in range(d_flat.shape[0]):
-                            d_outer[part, j] += value * fold.d_waves[d_places[i], part, j]
-                d_left = _kept(
-                    d_outer, d_table, (d_size + LANES - 1) // LANES, d_size, limit2, keep, d_kept
-                )
-                counts[3] += d_left
-                for index in range(d_left):
-                    rest = d_kept[index]
-                    for i in range(inner):
-                        d_value[i] = np.int64(d_low[i]) + 2 * (rest % d_number[i])
-                        rest //= d_number[i]
-                    for i in range(quarter):
-                        f[i], f[i + quarter] = g[i] // 2, g[i] // 2
-                    for i in range(d_count):
-                        at = d_places[i]
-                        f[at], f[at + quarter] = (
-                            (g[at] + d_value[i]) // 2,
-                            (g[at] - d_value[i]) // 2,
-                        )
-                    e_count = 0
-                    base = np.uint64(0)
-                    for i in range(half):
-                        if f[i] == 2:
-                            base |= (unit << np.uint64(i)) | (unit << np.uint64(i + half))
-                        elif f[i] == 1:
-                            e_places[e_count] = i
-                            e_count += 1
-                    if e_count == 0:
-                        continue  # no difference, |P| = 0
-                    within = min(e_count, _WITHIN)
-                    e_blocks = _spread_signs(e_places, within, fold.e_waves, signs, e_table)
-                    e_size = 1 << (within - 1)
-                    counts[4] += one_code << (e_count - 1)
-                    for around in range(one_code << (e_count - within)):
-                        e_outer[:] = np.float32(0)
-                        for i in range(within, e_count):
-                            sign = np.float32(2 * ((around >> (i - within)) & 1) - 1)
-                            at = e_places[i]
-                            for q in range(LANES):
-                                e_outer[0, q] += sign * fold.e_waves[at, 0, q]
-                                e_outer[1, q] += sign * fold.e_waves[at, 1, q]
-                        e_left = _kept(e_outer, e_table, e_blocks, e_size, limit2, keep, e_kept)
-                        counts[5] += e_left
-                        for survivor in range(e_left):
-                            # the sign of the first is free, as the ring may be turned by a half
-                            bits = base | (unit << np.uint64(e_places[0]))
-                            rest = e_kept[survivor] | (around << (within - 1))
-                            for i in range(1, e_count):
-                                bits |= unit << np.uint64(e_places[i] + (0 if rest & 1 else half))
-                                rest >>= 1
-                            number = _turns(
-                                bits, fold, opened_at, sums, more, found, number, counts
-                            )
-                            if number < 0:
-                                return -1
+            number = _scan_halves(fold, work, survivors, number, counts)
+            if number < 0:
+                return -1
     return number
