@@ -37,7 +37,7 @@ import numpy as np
 from cep.calibration.next_code import SURE, next_code
 from cep.files.images import read_image
 from lab.bench.coded.calibrations import codes_of_set, moved_psfs
-from lab.studies.inputs import kept_rows, photos, smooth_trace
+from lab.studies.inputs import kept_rows, photos, smooth_trace, study_parser
 from motdiff.crops import luminance, pick_crops
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
@@ -428,10 +428,12 @@ def stopped_table(rows: Sequence[tuple[Case, dict[str, Any]]]) -> None:
         )
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+# -- the command
+
+
+def parsed_options() -> argparse.Namespace:
+    """Return the options, with the codes of each set as ``codes``."""
+    parser = study_parser(__doc__)
     parser.add_argument(
         "--photos", default="", metavar="FOLDER", help="scenes; scikit-image's own when omitted"
     )
@@ -482,7 +484,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     try:
-        sets = {
+        options.codes = {
             name: (
                 ("1" * options.chips,)
                 if name.startswith(CHOSEN)
@@ -492,7 +494,12 @@ def main() -> None:
         }
     except ValueError as refusal:
         parser.error(f"--set: {refusal}")
-    cases = [
+    return options
+
+
+def cases_of(options: argparse.Namespace) -> list[Case]:
+    """Return all cases: each motion at each noise through each set of codes."""
+    return [
         Case(
             set=name,
             codes=codes,
@@ -512,8 +519,23 @@ def main() -> None:
         for index in range(options.count)
         for motions in options.motions
         for noise in options.noise
-        for name, codes in sets.items()
+        for name, codes in options.codes.items()
     ]
+
+
+def case_line(case: Case, row: dict[str, object]) -> str:
+    """Say how one case came out."""
+    verdict = "right" if is_right(row) else "wrong"
+    figures = "  ".join(
+        f"{name} {value:.2f}" for name, value in row.items() if isinstance(value, float)
+    )
+    refused = row.get("refused", "")
+    return f"{case.motions} {case.index} {case.noise:g} {case.set}: {verdict}  {figures}{refused}"
+
+
+def main() -> None:
+    options = parsed_options()
+    cases = cases_of(options)
     earlier = finished(options.results)
     rows = [(case, earlier[key(asdict(case))]) for case in cases if key(asdict(case)) in earlier]
     missing = [case for case in cases if key(asdict(case)) not in earlier]
@@ -522,16 +544,7 @@ def main() -> None:
         for case, row in measured(missing, options.workers):
             keep(options.results, case, row)
             rows.append((case, row))
-            verdict = "right" if is_right(row) else "wrong"
-            figures = "  ".join(
-                f"{name} {value:.2f}" for name, value in row.items() if isinstance(value, float)
-            )
-            refused = row.get("refused", "")
-            print(
-                f"{case.motions} {case.index} {case.noise:g} {case.set}: {verdict} "
-                f" {figures}{refused}",
-                flush=True,
-            )
+            print(case_line(case, row), flush=True)
     except KeyboardInterrupt:
         print("stopped: the motions so far")
     if rows:
