@@ -23,7 +23,7 @@ from cep.commands.options import (
     option,
     output_option,
 )
-from cep.restoration.registry import METHODS, find_method
+from cep.restoration.registry import AUTO_ABOUT, METHODS, find_method
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -61,8 +61,7 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
         "--method",
         "NAME",
         ", ".join(f"{method.name} ({method.about})" for method in METHODS.values())
-        + ", or module:name; auto is pnp for a coded photo along its motion, and where"
-        " the photo shows that the motion fits, else tv.",
+        + f", or module:name; auto is {AUTO_ABOUT}.",
         "auto",
     )
     anyway: bool = flag(
@@ -94,8 +93,8 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
 
     def check(self) -> None:
         """Refuse options that contradict each other, and unknown methods."""
-        method = "pnp" if self.method == "auto" else self.method
-        find_method(method)
+        if self.method != "auto":
+            find_method(self.method)
         if sum(source is not None for source in (self.trajectory, self.linear, self.psf)) > 1:
             raise ValueError(
                 "--trajectory FILE, --linear PX and --psf FILE: give one of them at most"
@@ -121,11 +120,11 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
         *names, last = (
             restoration.name for restoration in METHODS.values() if restoration.uses_camera
         )
-        if method not in (*names, last):
+        if self.method not in ("auto", *names, last):
             for name in ("camera", "photons", "read_noise"):
                 if getattr(self, name) is not None:
                     raise ValueError(
-                        f"--{name.replace('_', '-')}: not valid with --method {method};"
+                        f"--{name.replace('_', '-')}: not valid with --method {self.method};"
                         f" {', '.join(names)} and {last} use the camera"
                     )
 
@@ -330,6 +329,7 @@ def _page(restored: Restoration, options: DeblurOptions) -> Page:
     if restored.summary:
         return [f"{restored.summary}.", f"{target}; {figures}"]
     confidence = restored.psf_confidence
+    reason = restored.method_reason and f" ({restored.method_reason})"
     if len(options.images) > 1:
         motion = f"along the given motion, direction {restored.direction}"
         if confidence is not None:
@@ -340,10 +340,10 @@ def _page(restored: Restoration, options: DeblurOptions) -> Page:
     elif restored.psf_source == "photo":
         about = (
             "restored with the PSF found in this photo alone, which is good with probability"
-            f" {confidence:.2f}; its order in time is not known; {restored.method},"
+            f" {confidence:.2f}; its order in time is not known; {restored.method}{reason},"
         )
     else:
-        about = f"{restored.method}, direction {restored.to_dict()['direction']}"
+        about = f"{restored.method}{reason}, direction {restored.to_dict()['direction']}"
         if restored.direction_test is not None:
             about += f" (confidence {restored.direction_test.confidence:.2f})"
         about += ","

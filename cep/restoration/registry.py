@@ -93,6 +93,9 @@ METHODS: dict[str, Method] = {
     )
 }
 
+AUTO_ABOUT = "pnp for a coded photo along its motion, and where the motion fits the photo, else tv"
+"""What ``auto`` is, for the help page: :func:`cep.restoration.sharpen.choose_method`."""
+
 
 def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[..., Any]]:
     """Return the name and the function of a restoration; ValueError if there is no such method.

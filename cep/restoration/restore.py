@@ -19,10 +19,10 @@ from cep.restoration.direction import detect_direction
 from cep.restoration.registry import find_method, registered_method
 from cep.restoration.result import Restoration, misfit
 from cep.restoration.sharpen import (
-    LARGEST_PX,
     LEAST_CONFIDENCE,
+    choose_method,
     is_possible_light,
-    restore_chosen,
+    restore_with_estimate,
     sharpen,
 )
 from motdiff.crops import clipped_mask, exposure_gain
@@ -72,11 +72,10 @@ def restore(
         A name of :data:`cep.restoration.registry.METHODS`: "wiener", "inverse", "tv", "l0",
         "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a function of your
         own, or its ``module:name``, that takes (photo, psf) and returns the restored photo, or a
-        Restoration. "auto" is "pnp" for a photo through a code whose motion is given, and for
-        a motion that is known in time unless the photo speaks against it. Else the photo
-        shows how well the PSF fits, and decides between it and "tv", which trusts the PSF less:
-        :func:`cep.restoration.sharpen.restore_chosen`. Of more than 16
-        megapixels, or 4 where the PSF is estimated, it is "wiener", for the time.
+        Restoration. "auto" is "pnp" for a photo through a code whose motion is given, and where
+        the photo shows that the motion fits, else "tv", which trusts the PSF less; a motion that
+        is known in time has some credit. Of more than 16 megapixels, or 4 where the PSF is
+        estimated, it is "wiener", for the time: :func:`cep.restoration.sharpen.choose_method`.
         Where nothing but the photo is given see :func:`cep.restoration.sharpen.sharpen`.
     anyway : bool
         Of a photo alone: whether one that would be kept is restored all the same.
@@ -133,28 +132,31 @@ def restore(
     psf = draft.psf
     kernel = trimmed_psf(psf)
     restoring(0.0)
-    by_evidence = is_known = False
-    if method == "auto":
-        is_coded = code is not None or kernel.sum() < _ALL_LIGHT
-        is_known = trajectory is not None and (
-            trajectory.direction == "known" or uniform_length_px(trajectory) is not None
-        )
-        # a straight motion that was estimated looks like a known one: the photo shows how it fits
-        by_evidence = draft.psf_source == "photo" or not is_coded
-        # ahead in every row of our tables with a known motion: docs/decisions/restoration.md
-        method = "pnp" if channels[0].size <= LARGEST_PX else "wiener"
-    label, apply = find_method(method)
     if trajectory is None:
         _check_reach("psf", len(kernel), channels)
+    reason = ""
+    by_evidence = False
+    if method == "auto":
+        gain = exposure_gain(photo)
+        bright = np.asarray(photo) * gain
+        is_coded = code is not None or kernel.sum() < _ALL_LIGHT
+        # a straight motion that was estimated looks like a known one: the photo shows how it fits
+        by_evidence = draft.psf_source == "photo" or not is_coded
+        method, reason = choose_method(
+            bright,
+            psf,
+            coded_motion=not by_evidence,
+            trusted=trajectory is not None
+            and (trajectory.direction == "known" or uniform_length_px(trajectory) is not None),
+        )
+    label, apply = find_method(method)
     entry = registered_method(apply)
     # a user-defined function gets the photo as it is
     fills = entry is not None and entry.fills_clipped
     notes = [*draft.warnings, *_doubts(channels, kernel, draft.saturated_fraction, fills=fills)]
     if by_evidence:
-        gain = exposure_gain(photo)
-        bright = np.asarray(photo) * gain
         # it fills the clipped pixels itself
-        image, label = restore_chosen(bright, psf, trusted=is_known, progress=restoring)
+        image = restore_with_estimate(bright, psf, label, progress=restoring)
         if not is_possible_light(image, bright, psf):
             notes.append(
                 "the restored photo has dark and bright halos or stripes: the motion does not fit"
@@ -171,6 +173,7 @@ def restore(
         draft,
         image=image,
         method=label,
+        method_reason=reason,
         residual=misfit(photo, image, psf),
         unreliable_px=len(kernel) // 2,
         warnings=tuple(notes),

@@ -30,6 +30,8 @@ class Restoration:
         At the scale of the full open exposure, not clipped.
     method : str or None
         None where the photo was kept as it was.
+    method_reason : str
+        Why "auto" chose it, in a few words; empty where it was named.
     psf : (S, S) float ndarray
         Light-true PSF that it was restored with; a point where the photo was kept.
     psf_source : {"given", "trajectory", "photo", "path in the photo"} or None
@@ -60,6 +62,7 @@ class Restoration:
 
     image: FloatArray
     method: str | None = None
+    method_reason: str = ""
     psf: FloatArray
     psf_source: str | None = None
     psf_confidence: float | None = None

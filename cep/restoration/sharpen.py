@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -127,7 +128,8 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False)
             return kept(doubt)
         source = max(small_enough, key=scores_db.__getitem__)
     psf = psfs[source]
-    image, method = restore_chosen(bright, psf)
+    method, _reason = choose_method(bright, psf)
+    image = restore_with_estimate(bright, psf, method)
     # a doubtful blur must leave little of what a wrong one leaves
     is_doubtful = confidence < LEAST_CONFIDENCE
     limit = _LITTLE_IMPOSSIBLE if is_doubtful else _MOST_IMPOSSIBLE
@@ -212,45 +214,81 @@ def choose_psf(
     return max(sharper, key=scores.__getitem__, default=None), scores
 
 
-def restore_chosen(
-    photo: ArrayLike,
-    psf: ArrayLike,
-    *,
-    trusted: bool = False,
-    progress: Callable[[float], None] = lambda _share: None,
-) -> tuple[FloatArray, str]:
-    """Restore a whole photo by the method that suits it and the PSF, a large one by Wiener's.
+class MethodChoice(NamedTuple):
+    """Method that suits a photo and its PSF, and the reason in a few words."""
 
-    A textured crop is restored by TV with a weight for its noise. A PSF that leaves much more than
-    the noise, or impossible light, is wrong: TV with a greater weight rings less. With any
-    other pnp is the best.
+    method: str
+    reason: str
+
+
+def choose_method(
+    photo: ArrayLike, psf: ArrayLike, *, coded_motion: bool = False, trusted: bool = False
+) -> MethodChoice:
+    """Choose the method of a photo for which none is named: what ``auto`` means.
+
+    Of a coded photo along its motion it is pnp. Of any other a textured crop is restored by TV
+    with a weight for its noise. A PSF that leaves much more than the noise, or impossible light,
+    is wrong: TV rings less. With any other pnp is the best. A large photo is restored by Wiener's
+    filter.
 
     Parameters
     ----------
     photo : (H, W) or (H, W, 3) array_like, linear light 0..1
     psf : (S, S) array_like
         Light-true.
+    coded_motion : bool
+        Whether the photo was taken through a code, along a motion that was given.
     trusted : bool
         Whether the PSF is rather known than estimated. The photo must then speak more clearly
         against it.
+    """
+    size_px = channels_first(photo)[0].size
+    if coded_motion:
+        # ahead in every row of our tables with a known motion: docs/decisions/restoration.md
+        fits, most_px, reason = True, LARGEST_PX, "the photo is coded"
+    else:
+        fits = _evidence(photo, psf).explains(trusted=trusted)
+        most_px, reason = LARGEST_PX if trusted else LARGE_PX, "the motion fits the photo"
+    if fits and size_px <= most_px:
+        return MethodChoice("pnp", reason)
+    if not fits and size_px <= LARGE_PX:
+        return MethodChoice("tv", "the motion fits the photo badly")
+    return MethodChoice("wiener", "the photo is large")
+
+
+def restore_with_estimate(
+    photo: ArrayLike,
+    psf: ArrayLike,
+    method: str,
+    *,
+    progress: Callable[[float], None] = lambda _share: None,
+) -> FloatArray:
+    """Restore a whole photo by a method of :func:`choose_method`, set for a PSF that may be wrong.
+
+    Parameters
+    ----------
+    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    psf : (S, S) array_like
+        Light-true.
+    method : {"pnp", "tv", "wiener"}
+        TV has a weight at which a wrong PSF rings less.
     progress : callable, optional
         Called with the finished share, 0..1.
 
     Returns
     -------
-    float64 like ``photo``, not clipped, and the name of the method
+    float64 like ``photo``, not clipped
     """
     channels = channels_first(fill_clipped(photo, psf))
-    size_px = channels[0].size
-    is_right = _evidence(photo, psf).explains(trusted=trusted)
-    if is_right and size_px <= (LARGEST_PX if trusted else LARGE_PX):
-        return pnp(channels_last(channels), psf, progress=progress), "pnp"
-    if size_px <= LARGE_PX:
+    if method == "pnp":
+        return pnp(channels_last(channels), psf, progress=progress)
+    if method == "tv":
         # TV divides the photo by the light that came in, and its noise with it
-        factor = 1.0 if is_right else _WRONG_TV
-        weight = factor * _tv_weight(noise_sigma(channels.mean(axis=0)) / float(np.sum(psf)))
-        jobs = [partial(tv, channel, psf, weight=weight) for channel in channels]
-        return channels_last(np.stack(side_by_side(jobs))), "tv"
+        sigma = noise_sigma(channels.mean(axis=0)) / float(np.sum(psf))
+        jobs = [
+            partial(tv, channel, psf, weight=_WRONG_TV * _tv_weight(sigma)) for channel in channels
+        ]
+        return channels_last(np.stack(side_by_side(jobs)))
     side = 2 * _CROP_PX
     row, column = pick_crops(channels.mean(axis=0), size=side, count=1)[0]
     jobs = []
@@ -269,7 +307,7 @@ def restore_chosen(
                 border_rounds=0,
             )
         )
-    return channels_last(np.stack(side_by_side(jobs))), "wiener"
+    return channels_last(np.stack(side_by_side(jobs)))
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.plug_and_play import pnp
-from cep.restoration.sharpen import restore_chosen
+from cep.restoration.sharpen import choose_method, restore_with_estimate
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
 from lab.photo_gains.photographs import load_scenes
@@ -41,7 +41,9 @@ METHODS = {
     "pnp": pnp,
     "tv": tv,
     "wiener": wiener,
-    "by evidence": lambda photo, psf: restore_chosen(photo, psf)[0],
+    "by evidence": lambda photo, psf: restore_with_estimate(
+        photo, psf, choose_method(photo, psf).method
+    ),
 }
 
 
