@@ -17,25 +17,19 @@ from cep.codes.published import names as code_names
 from cep.codes.published import published
 from cep.restoration.registry import METHODS as RESTORATIONS
 from cep.search.objectives import OBJECTIVES
+from lab.evaluation.methods import RIVALS
 from motdiff.estimators.registry import METHODS as ESTIMATORS
 
 SOFTWARE = "coded-exposure"
 """Name and key of this software itself."""
 
-_DIFFUSION = ("ho2020", "nichol2021", "song2021", "lin2024")
-_NETWORK = ("choi2025motdiff", *_DIFFUSION, "wang2022pvt", "wang2022ssformer", "wei2020")
 _JOINT_FIT = ESTIMATORS["coded"].cites
 _WIENER = ("wiener1949", "field1987")
 
 _NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
     "estimators of motion": {
         **{name: method.cites for name, method in ESTIMATORS.items()},
-        "network": _NETWORK,
-        "networks": _NETWORK,
-        "parametric": ("zhang2022etr",),
-        "psf-diffusion": ("sanghvi2024", "ho2020"),
-        "selfdeblur": ("ren2020", "ulyanov2018"),
-        "blinddps": ("chung2023", "ho2020"),
+        **{name: rival.cites for name, rival in RIVALS.items()},
     },
     "ways to choose a code": {
         "open": (),

@@ -11,8 +11,8 @@ from cep.files.foreign_text import markdown_text
 from lab.bench.blind.job import BLIND_FILES, SPEED_FILES, blind_job, speed_job
 from lab.bench.coded.job import cep_job
 from lab.bench.coded.report import OUTPUTS
-from lab.bench.codes import CODE_FILES, codes_job
 from lab.bench.harness import Job, Report, Request, in_code_span
+from lab.bench.published_codes import CODE_FILES, codes_job
 from lab.bench.table_io import machines_markdown
 from lab.jobs.engine import Engine
 from motdiff.files.outputs import write_text

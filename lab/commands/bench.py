@@ -217,7 +217,7 @@ def codes(options: CodesOptions) -> None:
     """
 
     def plan() -> Job:
-        from lab.bench.codes import codes_job
+        from lab.bench.published_codes import codes_job
 
         return codes_job(
             options.request(workers=options.workers, dask=options.dask),

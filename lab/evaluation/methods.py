@@ -3,38 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lab.weights import PATH_WEIGHTS, PSF_WEIGHTS
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
 from motdiff.estimators.registry import blind_methods, make_method
 from motdiff.files.plugins import is_reference
 from motdiff.psf_frame import in_frame
-
-SLOW_METHODS = ("selfdeblur", "blinddps")
-"""Hours per photo on a CPU: run only where they are named."""
-
-METHODS = (
-    *blind_methods(),
-    "network",
-    "networks",
-    "parametric",
-    "psf-diffusion",
-    *SLOW_METHODS,
-)
-"""The blind estimators of the product, and those of this laboratory. Also
-``network:SAMPLER:STEPS``, such as ``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one
-DDIM step where none are named), ``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of
-each photo as well, ``networks`` with the same additions, whose draws are corrected by the second
-network, ``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps
-tells only what it needs. ``motdiff@FILE`` and ``network:SAMPLER:STEPS@FILE``, or ``networks``,
-take other weights of MoTDiff than the package's."""
-
-_WITH_WEIGHTS = ("motdiff", "network", "networks")
 
 
 class NetworkAlone:
@@ -176,42 +157,38 @@ def _named(method: str) -> Estimator:
         raise FileNotFoundError(f"{weights}: no such file of weights")
     if name in blind_methods():
         return make_method(name, {"weights": weights}).make()
-    if name == "parametric":
-        from lab.rivals.parametric import ParametricEstimator
-
-        return ParametricEstimator()
-    option = name.partition(":")[2]
-    match kind:
-        case "selfdeblur":
-            return _selfdeblur(option)
-        case "blinddps":
-            from lab.rivals.blinddps import BlindDpsEstimator, load_priors
-
-            return BlindDpsEstimator(load_priors(option) if option else None)
-        case "psf-diffusion":
-            return _psf_diffusion(option)
-    return _of_network(name, weights)
+    # of a method of the product with additions, which has none, it says which have
+    return RIVALS.get(kind, RIVALS["network"]).make(name, weights)
 
 
-def _psf_diffusion(steps: str) -> Estimator:
+def _parametric(_method: str, _weights: Path | None) -> Estimator:
+    from lab.rivals.parametric import ParametricEstimator
+
+    return ParametricEstimator()
+
+
+def _blinddps(method: str, _weights: Path | None) -> Estimator:
+    from lab.rivals.blinddps import BlindDpsEstimator, load_priors
+
+    folder = method.partition(":")[2]
+    return BlindDpsEstimator(load_priors(folder) if folder else None)
+
+
+def _psf_diffusion(method: str, _weights: Path | None) -> Estimator:
     from lab.rivals.psf_diffusion import PsfDiffusionEstimator
 
+    steps = method.partition(":")[2]
     if steps and not steps.isdigit():
-        raise ValueError(
-            "method: must be psf-diffusion or psf-diffusion:STEPS, got"
-            f" {'psf-diffusion:' + steps!r}"
-        )
+        raise ValueError(f"method: must be psf-diffusion or psf-diffusion:STEPS, got {method!r}")
     return PsfDiffusionEstimator(steps=int(steps)) if steps else PsfDiffusionEstimator()
 
 
-def _selfdeblur(iterations: str) -> Estimator:
+def _selfdeblur(method: str, _weights: Path | None) -> Estimator:
     from lab.rivals.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
 
+    iterations = method.partition(":")[2]
     if iterations and not iterations.isdigit():
-        raise ValueError(
-            "method: must be selfdeblur or selfdeblur:ITERATIONS, got"
-            f" {'selfdeblur:' + iterations!r}"
-        )
+        raise ValueError(f"method: must be selfdeblur or selfdeblur:ITERATIONS, got {method!r}")
     config = SelfDeblurConfig(iterations=int(iterations)) if iterations else SelfDeblurConfig()
     # an interrupted evaluation resumes in the middle of its photo
     cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
@@ -234,3 +211,108 @@ def _of_network(method: str, weights: Path | None) -> Estimator:
         " additions"
     )
     raise ValueError(f"method: must be {options}, got {method!r}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rival:
+    """An estimator of this laboratory, all that its tables know of it.
+
+    Attributes
+    ----------
+    module : str
+        Whose sources, with what they import, its cells count.
+    make : callable
+        Returns the estimator, of its name with additions and a file of weights.
+    cites : tuple of str
+        Keys of ``cep/files/works.bib``.
+    in_every_table : bool
+        Whether it is measured where none is named.
+    reason : str
+        Why it is measured only when named, where a table says so.
+    weights : Path or None
+        Shipped weights of its own.
+    samples : int or None
+        That these were trained on, after a start from MoTDiff's condition network.
+    of_motdiff : bool
+        Whether it reads MoTDiff's weights, and others of them as ``NAME@FILE``.
+    is_corrected : bool
+        Whether it reads those of the second network too.
+    """
+
+    module: str
+    make: Callable[[str, Path | None], Estimator]
+    cites: tuple[str, ...]
+    in_every_table: bool = False
+    reason: str = ""
+    weights: Path | None = None
+    samples: int | None = None
+    of_motdiff: bool = False
+    is_corrected: bool = False
+
+
+_NETWORK = (
+    "choi2025motdiff",
+    "ho2020",
+    "nichol2021",
+    "song2021",
+    "lin2024",
+    "wang2022pvt",
+    "wang2022ssformer",
+    "wei2020",
+)
+RIVALS = {
+    "network": Rival(
+        module="motdiff.estimators.motdiff",
+        make=_of_network,
+        cites=_NETWORK,
+        in_every_table=True,
+        of_motdiff=True,
+    ),
+    "networks": Rival(
+        module="motdiff.estimators.motdiff",
+        make=_of_network,
+        cites=_NETWORK,
+        of_motdiff=True,
+        is_corrected=True,
+    ),
+    "parametric": Rival(
+        module="lab.rivals.parametric",
+        make=_parametric,
+        cites=("zhang2022etr",),
+        in_every_table=True,
+        weights=PATH_WEIGHTS,
+        samples=16_016,
+    ),
+    "psf-diffusion": Rival(
+        module="lab.rivals.psf_diffusion",
+        make=_psf_diffusion,
+        cites=("sanghvi2024", "ho2020"),
+        in_every_table=True,
+        weights=PSF_WEIGHTS,
+        samples=12_816,
+    ),
+    "selfdeblur": Rival(
+        module="lab.rivals.selfdeblur",
+        make=_selfdeblur,
+        cites=("ren2020", "ulyanov2018"),
+        reason="takes hours a photo",
+    ),
+    "blinddps": Rival(
+        module="lab.rivals.blinddps",
+        make=_blinddps,
+        cites=("chung2023", "ho2020"),
+        reason="needs weights, named blinddps:FOLDER",
+    ),
+}
+"""The estimators of this laboratory, by name. Additions to it: ``network:SAMPLER:STEPS``, such as
+``network:ddpm:1000``, ``psf-diffusion:STEPS`` (both take one DDIM step where none are named),
+``network:SAMPLER:STEPS:DRAWS``, which measures that many draws of each photo as well, ``networks``
+with the same additions, whose draws are corrected by the second network,
+``selfdeblur:ITERATIONS``, and ``blinddps:FOLDER`` of weights, without which blinddps tells only
+what it needs."""
+
+METHODS = (*blind_methods(), *RIVALS)
+"""The blind estimators of the product, and those of this laboratory. ``motdiff@FILE`` and
+``network:SAMPLER:STEPS@FILE``, or ``networks``, take other weights of MoTDiff than the
+package's."""
+_WITH_WEIGHTS = ("motdiff", *(name for name, rival in RIVALS.items() if rival.of_motdiff))

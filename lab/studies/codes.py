@@ -23,7 +23,7 @@ from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import chip_minimum
 from cep.proofs.measure import measure
 from cep.proofs.verify import verify
-from lab.bench.codes import chip_noise_db
+from lab.bench.published_codes import chip_noise_db
 from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory

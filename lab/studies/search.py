@@ -28,7 +28,7 @@ from cep.search.cost import CodeCost
 from cep.search.exhaustive.exact import codes_to_count, exact
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
-from lab.bench.codes import chip_noise_db, code_rows
+from lab.bench.published_codes import chip_noise_db, code_rows
 from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 

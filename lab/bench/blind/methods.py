@@ -6,38 +6,29 @@ from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 from lab.bench.blind.work import CEILINGS, FLOORS
-from lab.evaluation.methods import METHODS, named_estimators, split_weights
+from lab.evaluation.methods import METHODS, RIVALS, named_estimators, split_weights
 from lab.jobs.fingerprint import source_version
-from lab.weights import PATH_WEIGHTS, PSF_WEIGHTS
 from motdiff.files.plugins import is_reference
 from motdiff.weights import CORRECTION_WEIGHTS, DEFAULT_WEIGHTS
 
-USUAL = ("pmp", "motdiff", "network", "parametric", "psf-diffusion")
+USUAL = ("pmp", "motdiff", *(name for name, rival in RIVALS.items() if rival.in_every_table))
 """Estimators of every table."""
-UNUSUAL = {"selfdeblur": "takes hours a photo", "blinddps": "needs weights, named blinddps:FOLDER"}
+UNUSUAL = {name: rival.reason for name, rival in RIVALS.items() if rival.reason}
 """Estimators that are measured when named, and why only then."""
 OURS = ("motdiff", "networks", "network")
 """The first of these that is measured is what others are compared with."""
-SMALL_BUDGETS = {"parametric": 16_016, "psf-diffusion": 12_816}
+SMALL_BUDGETS = {name: rival.samples for name, rival in RIVALS.items() if rival.samples}
 """Samples that the shipped baselines were trained on, after a start from MoTDiff's condition
 network."""
 
 _WEIGHTS = {
     "motdiff": DEFAULT_WEIGHTS,
-    "network": DEFAULT_WEIGHTS,
-    "networks": DEFAULT_WEIGHTS,
-    "parametric": PATH_WEIGHTS,
-    "psf-diffusion": PSF_WEIGHTS,
+    **{
+        name: DEFAULT_WEIGHTS if rival.of_motdiff else rival.weights
+        for name, rival in RIVALS.items()
+    },
 }
-_CORRECTED = ("motdiff", "networks")
-_FOLLOWED = {
-    "network": "motdiff.estimators.motdiff",
-    "networks": "motdiff.estimators.motdiff",
-    "parametric": "lab.rivals.parametric",
-    "psf-diffusion": "lab.rivals.psf_diffusion",
-    "selfdeblur": "lab.rivals.selfdeblur",
-    "blinddps": "lab.rivals.blinddps",
-}
+_CORRECTED = ("motdiff", *(name for name, rival in RIVALS.items() if rival.is_corrected))
 
 _TAKING = (
     "lab.bench.blind.work",
@@ -133,8 +124,12 @@ def version_of(method: str) -> str:
     if method in (*FLOORS, *CEILINGS):
         return source_version([*followed, "lab.evaluation.floors"], alone=modules)
     first = split_weights(method)[0].split(":")[0]
-    user_defined = first not in METHODS and is_reference(method)
-    followed.append(first if user_defined else _FOLLOWED.get(first, f"motdiff.estimators.{first}"))
+    if first in RIVALS:
+        followed.append(RIVALS[first].module)
+    elif first not in METHODS and is_reference(method):
+        followed.append(first)
+    else:
+        followed.append(f"motdiff.estimators.{first}")
     weights = _weights(method)
     if folder := _folder(method):
         files = sorted(path for path in Path(folder).rglob("*") if path.is_file())

@@ -9,7 +9,7 @@ import pytest
 from cep.codes.published import CLAIMS, PUBLISHED, for_chips, names, published
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import chip_minimum, min_chip
-from lab.bench.codes import chip_noise_db
+from lab.bench.published_codes import chip_noise_db
 
 # name, chips, open, min |P|, absolute noise gain in dB (None: a true zero makes it infinite)
 TABLE = [

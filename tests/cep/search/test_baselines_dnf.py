@@ -11,7 +11,7 @@ from cep.proofs.measure import measure
 from cep.search.annealing.anneal import anneal
 from cep.search.baselines import dnf_problem
 from cep.search.limits import RunLimits
-from lab.bench.codes import chip_noise_db
+from lab.bench.published_codes import chip_noise_db
 from motdiff.trajectory import Trajectory
 
 

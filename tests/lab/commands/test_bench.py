@@ -9,8 +9,8 @@ import pytest
 from cep.commands.console import FAILURE, INTERRUPTED
 from lab.bench import all_jobs
 from lab.bench.all_jobs import INDEX
-from lab.bench.codes import codes_job
 from lab.bench.harness import Request
+from lab.bench.published_codes import codes_job
 from lab.jobs.engine import Engine
 
 NAMES = {"first": "bdinr-8", "second": "barker-13"}
@@ -41,7 +41,7 @@ def tables(workplace, monkeypatch):
 
 def failing(monkeypatch, error):
     """Let the search against the second code fail; returns what mends it."""
-    from lab.bench import codes
+    from lab.bench import published_codes as codes
 
     real = codes.anneal
 

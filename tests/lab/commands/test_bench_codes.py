@@ -9,7 +9,7 @@ from cep_tables import read_tables
 
 from cep.commands.console import FAILURE, INTERRUPTED
 from cep.optics.code import ShutterCode
-from lab.bench.codes import chip_noise_db, code_cells, code_rows
+from lab.bench.published_codes import chip_noise_db, code_cells, code_rows
 
 
 def untouchable(*_arguments, **_options):
@@ -86,7 +86,7 @@ def test_interrupted_it_keeps_the_rows(monkeypatch):
             raise KeyboardInterrupt
         return real(problem, **options)
 
-    monkeypatch.setattr("lab.bench.codes.anneal", stopping)
+    monkeypatch.setattr("lab.bench.published_codes.anneal", stopping)
     codes = [("first", ShutterCode("110100101")), ("second", ShutterCode("1101001011"))]
     assert [row.name for row in code_rows(codes, time_s=0.2)] == ["first"]
 
@@ -101,14 +101,14 @@ def test_half_a_search_is_not_kept(lab, workplace, monkeypatch):
         return real(problem, **options, progress=stop)
 
     command = ("bench", "codes", "bdinr-8", "--time", "0.1", "-o", "codes")
-    monkeypatch.setattr("lab.bench.codes.anneal", interrupted)
+    monkeypatch.setattr("lab.bench.published_codes.anneal", interrupted)
     lab(*command, "--json")
     assert (lab.code, lab.err) == (INTERRUPTED, "lab: interrupted\n")
     assert (lab.json["missing"], lab.json["tables"]) == (1, {"codes": []})
     assert any("--force goes on" in warning for warning in lab.json["warnings"])
     assert Path("codes/codes.md").is_file()
     assert list(Path("codes/cells").iterdir()) == []
-    monkeypatch.setattr("lab.bench.codes.anneal", real)
+    monkeypatch.setattr("lab.bench.published_codes.anneal", real)
     assert len(lab.succeeds(*command, "--force")["tables"]["codes"]) == 1
 
 
@@ -120,7 +120,7 @@ def test_a_search_that_fails_is_told_beside_the_others(lab, workplace, monkeypat
             raise ValueError("code: too short")
         return real(problem, **options)
 
-    monkeypatch.setattr("lab.bench.codes.anneal", anneal)
+    monkeypatch.setattr("lab.bench.published_codes.anneal", anneal)
     lab(
         "bench",
         "codes",

@@ -5,7 +5,7 @@ from console_tables import check, rendered
 
 from cep.commands.console import Table
 from lab.bench.blind.report import blind_tables
-from lab.bench.codes import CODE_HEAD
+from lab.bench.published_codes import CODE_HEAD
 from lab.commands.tables import table_page
 
 

@@ -14,7 +14,7 @@ from cep.proofs.measure import measure
 from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
-from lab.bench.codes import chip_noise_db
+from lab.bench.published_codes import chip_noise_db
 from lab.fronts.front import Front, FrontPoint, knees, non_dominated
 from lab.fronts.pareto import front_points, pareto_front
 from lab.fronts.plot import pareto_figure

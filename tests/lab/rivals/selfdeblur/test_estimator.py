@@ -9,7 +9,7 @@ import torch
 from dead_leaves import dead_leaves
 
 from lab.evaluation.measure import measure_estimator
-from lab.evaluation.methods import METHODS, SLOW_METHODS, named_estimators
+from lab.evaluation.methods import RIVALS, named_estimators
 from lab.evaluation.sets import Case
 from lab.rivals.selfdeblur import SelfDeblurConfig, SelfDeblurEstimator
 from lab.rivals.selfdeblur import estimator as estimator_module
@@ -291,7 +291,7 @@ def test_unusable_photos_are_refused_in_one_line(photo, words):
 
 def test_slow_methods_are_there_by_name_alone(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    assert set(SLOW_METHODS) == {"selfdeblur", "blinddps"} <= set(METHODS)
+    assert {name for name, rival in RIVALS.items() if rival.reason} == {"selfdeblur", "blinddps"}
     made = named_estimators(["selfdeblur", "selfdeblur:2"])
     assert list(made) == ["selfdeblur", "selfdeblur:2"]
     assert made["selfdeblur"]._config == SelfDeblurConfig()
