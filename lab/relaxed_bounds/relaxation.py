@@ -77,66 +77,30 @@ def relax(columns: FloatArray, open_chips: int, *, shares: FloatArray | None = N
     """
     # the first step suits matrices with entries of about 1
     scale = float((columns**2).sum(axis=(0, 2)).mean())
-    columns = columns / np.sqrt(scale)
-    chips, m, rank = columns.shape
-    flat = columns.reshape(chips, m * rank)
-    # column i is what chip i's multiplier multiplies
-    products = np.ones((chips, chips)) - open_chips * np.eye(chips)
-
-    def slack(a: FloatArray, v: FloatArray) -> FloatArray:
-        gram = (flat * np.repeat(a, rank)) @ flat.T
-        return np.asarray(np.eye(chips) - gram - 0.5 * (v[:, None] + v) + open_chips * np.diag(v))
-
-    def goal(a: FloatArray) -> float:
-        if shares is None:
-            return float(a.sum())
-        return float(np.sqrt(shares * a).sum())
-
-    def merit(a: FloatArray, v: FloatArray, heat: float) -> float:
-        try:
-            factor = np.linalg.cholesky(slack(a, v))
-        except np.linalg.LinAlgError:
-            return -np.inf
-        wall = 0.0
-        if shares is None:  # the other goal's root, infinitely steep at 0, keeps a above 0
-            wall = float(np.log(a).sum())
-        return goal(a) / heat + 2 * float(np.log(np.diag(factor)).sum()) + wall
-
-    a = np.ones(m)
-    gap = _GAP
-    cooling = _COOLING
-    walls = chips + m
-    if shares is not None:
-        # for 1/x the best weights are w / x^2: start from x of a random code
-        chip_power = (columns**2).sum(axis=(0, 2))
-        all_open = (columns.sum(axis=0) ** 2).sum(axis=1)
-        a = shares / mean_power(chip_power, all_open, chips, open_chips) ** 2
-        gap = _GAP_OF_MEAN
-        cooling = _COOLING_OF_MEAN
-        walls = chips
-    # half of what the semidefinite limit allows: well inside
-    a *= 0.5 / float(np.linalg.eigvalsh((flat * np.repeat(a, rank)) @ flat.T)[-1])
-    v = np.zeros(chips)
-    heat = goal(a) / walls
+    barrier = _Barrier(columns / np.sqrt(scale), open_chips, shares)
+    gap, cooling = (_GAP, _COOLING) if shares is None else (_GAP_OF_MEAN, _COOLING_OF_MEAN)
+    a = barrier.start()
+    v = np.zeros(barrier.chips)
+    heat = barrier.goal(a) / barrier.walls
     for _ in range(_MOST_STEPS):
-        inverse = np.linalg.inv(slack(a, v))
+        inverse = np.linalg.inv(barrier.slack(a, v))
         inverse = 0.5 * (inverse + inverse.T)
-        step, gain = _newton_step(flat, rank, inverse, products, a, shares, heat)
+        step, gain = barrier.newton_step(inverse, a, heat)
         if gain < _SMALL_GAIN:
-            if heat * walls < gap * goal(a):
+            if heat * barrier.walls < gap * barrier.goal(a):
                 relaxed = np.asarray(inverse * (open_chips / float(np.trace(inverse))))
                 return Relaxation(a / scale, v, relaxed)
             heat *= cooling
             continue
-        down = step[:m] < 0
+        relative, dv = np.split(step, [a.size])
         length = 1.0
-        if down.any() and step[:m].min() < -0.9:
-            length = min(1.0, 0.9 / float(-step[:m][down].min()))
-        before = merit(a, v, heat)
+        if relative.min() < -0.9:
+            length = min(1.0, 0.9 / float(-relative.min()))
+        before = barrier.merit(a, v, heat)
         while length >= 1e-9:
             # steps in a are relative, so that one scale suits large and small weights
-            further = (a * (1 + length * step[:m]), v + length * step[m:])
-            if merit(*further, heat) >= before + 0.1 * length * gain:  # Armijo's rule
+            further = (a * (1 + length * relative), v + length * dv)
+            if barrier.merit(*further, heat) >= before + 0.1 * length * gain:  # Armijo's rule
                 break
             length *= 0.5
         else:
@@ -145,44 +109,104 @@ def relax(columns: FloatArray, open_chips: int, *, shares: FloatArray | None = N
     raise ValueError("relaxation: the steps ended short of the optimum")
 
 
-def _newton_step(
-    flat: FloatArray,
-    rank: int,
-    inverse: FloatArray,
-    products: FloatArray,
-    a: FloatArray,
-    shares: FloatArray | None,
-    heat: float,
-) -> tuple[FloatArray, float]:
-    """Newton's step in (da / a, dv), and its gain by the quadratic model."""
-    m = a.size
-    through = inverse @ flat
-    pairs = _pairs(flat, through, rank)
-    mixed = (through * (products @ through)).reshape(len(inverse), m, rank).sum(axis=2)
-    transformed = inverse @ products
-    chips = 0.5 * (inverse * (products @ transformed) + transformed * transformed.T)
-    slope = -(flat * through).sum(axis=0).reshape(m, rank).sum(axis=1) * a
-    if shares is None:
-        slope += a / heat + 1
-        bend = np.ones(m)
-    else:
-        root = np.sqrt(shares * a)
-        slope += 0.5 * root / heat
-        bend = 0.25 * root / heat
-    hessian = np.block(
-        [[pairs * np.outer(a, a) + np.diag(bend), (mixed * a).T], [mixed * a, chips]]
-    )
-    # weights and multipliers differ by many powers of ten: scaled to a diagonal of ones
-    size = np.sqrt(np.diag(hessian))
-    gradient = np.concatenate([slope, -np.diag(transformed)])
-    hessian /= size
-    hessian /= size[:, None]
-    hessian[np.diag_indices(size.size)] += 1e-12
-    step = linalg.solve(
-        hessian, gradient / size, assume_a="pos", overwrite_a=True, check_finite=False
-    )
-    step = np.asarray(step / size, dtype=np.float64)
-    return step, float(gradient @ step)
+class _Barrier:
+    """Logarithmic barrier of the dual problem.
+
+    Parameters
+    ----------
+    columns, open_chips, shares
+        As of :func:`relax`.
+    """
+
+    def __init__(self, columns: FloatArray, open_chips: int, shares: FloatArray | None) -> None:
+        self.chips, self.m, self.rank = columns.shape
+        self.columns = columns
+        self.flat = columns.reshape(self.chips, self.m * self.rank)
+        self.open_chips = open_chips
+        self.shares = shares
+        # column i is what chip i's multiplier multiplies
+        self.products = np.ones((self.chips, self.chips)) - open_chips * np.eye(self.chips)
+        # a mean's goal, a root, is infinitely steep at 0: it keeps a above 0 by itself
+        self.walls = self.chips + (self.m if shares is None else 0)
+
+    def gram(self, a: FloatArray) -> FloatArray:
+        """``sum a_f G_f``, (n, n)."""
+        return np.asarray((self.flat * np.repeat(a, self.rank)) @ self.flat.T)
+
+    def slack(self, a: FloatArray, v: FloatArray) -> FloatArray:
+        """Matrix of the constraint, positive definite within it."""
+        return np.asarray(
+            np.eye(self.chips)
+            - self.gram(a)
+            - 0.5 * (v[:, None] + v)
+            + self.open_chips * np.diag(v)
+        )
+
+    def goal(self, a: FloatArray) -> float:
+        """Value of g."""
+        if self.shares is None:
+            return float(a.sum())
+        return float(np.sqrt(self.shares * a).sum())
+
+    def merit(self, a: FloatArray, v: FloatArray, heat: float) -> float:
+        """Value of the goal and the barrier; -inf outside."""
+        try:
+            factor = np.linalg.cholesky(self.slack(a, v))
+        except np.linalg.LinAlgError:
+            return -np.inf
+        wall = 0.0
+        if self.shares is None:
+            wall = float(np.log(a).sum())
+        return self.goal(a) / heat + 2 * float(np.log(np.diag(factor)).sum()) + wall
+
+    def start(self) -> FloatArray:
+        """Weights well inside the constraint, with v = 0."""
+        a = np.ones(self.m)
+        if self.shares is not None:
+            # for 1/x the best weights are w / x^2: start from x of a random code
+            chip_power = (self.columns**2).sum(axis=(0, 2))
+            all_open = (self.columns.sum(axis=0) ** 2).sum(axis=1)
+            a = self.shares / mean_power(chip_power, all_open, self.chips, self.open_chips) ** 2
+        # half of what the semidefinite limit allows
+        a *= 0.5 / float(np.linalg.eigvalsh(self.gram(a))[-1])
+        return a
+
+    def newton_step(
+        self, inverse: FloatArray, a: FloatArray, heat: float
+    ) -> tuple[FloatArray, float]:
+        """Newton's step in (da / a, dv), and its gain by the quadratic model.
+
+        ``inverse`` is that of the slack.
+        """
+        through = inverse @ self.flat
+        pairs = _pairs(self.flat, through, self.rank)
+        mixed = (through * (self.products @ through)).reshape(self.chips, self.m, self.rank)
+        mixed = mixed.sum(axis=2)
+        transformed = inverse @ self.products
+        chips = 0.5 * (inverse * (self.products @ transformed) + transformed * transformed.T)
+        forms = (self.flat * through).sum(axis=0).reshape(self.m, self.rank).sum(axis=1)
+        slope = -forms * a
+        if self.shares is None:
+            slope += a / heat + 1
+            bend = np.ones(self.m)
+        else:
+            root = np.sqrt(self.shares * a)
+            slope += 0.5 * root / heat
+            bend = 0.25 * root / heat
+        hessian = np.block(
+            [[pairs * np.outer(a, a) + np.diag(bend), (mixed * a).T], [mixed * a, chips]]
+        )
+        # weights and multipliers differ by many powers of ten: scaled to a diagonal of ones
+        size = np.sqrt(np.diag(hessian))
+        gradient = np.concatenate([slope, -np.diag(transformed)])
+        hessian /= size
+        hessian /= size[:, None]
+        hessian[np.diag_indices(size.size)] += 1e-12
+        step = linalg.solve(
+            hessian, gradient / size, assume_a="pos", overwrite_a=True, check_finite=False
+        )
+        step = np.asarray(step / size, dtype=np.float64)
+        return step, float(gradient @ step)
 
 
 def _pairs(flat: FloatArray, through: FloatArray, rank: int) -> FloatArray:
