@@ -150,6 +150,75 @@ def _find_dips(otf: Floats, power: Floats, dips: NDArray[np.int64]) -> int:
     return count
 
 
+@inlined
+def _fine_power(fine: Floats, code: Codes, otf: Floats) -> np.float32:
+    """Smallest |P|^2 of a code on the fine samples; ``otf`` (2, G) is work space."""
+    otf[:] = 0
+    for j in range(len(code)):
+        if code[j]:
+            for g in range(otf.shape[1]):
+                otf[0, g] += fine[j, 0, g]
+                otf[1, g] += fine[j, 1, g]
+    lowest = np.float32(np.inf)
+    for g in range(otf.shape[1]):
+        lowest = min(lowest, otf[0, g] * otf[0, g] + otf[1, g] * otf[1, g])
+    return lowest
+
+
+@inlined
+def _refuse_partners(
+    tables: Any,
+    otf: Floats,
+    dips: NDArray[np.int64],
+    dip_count: int,
+    chip: int,
+    signs: Floats,
+    floor: np.float32,
+    refused: NDArray[np.int32],
+) -> None:
+    """Count for each partner of a chip the dips where |P|^2 after the move is below the floor."""
+    by_chip = tables.by_chip
+    by_frequency = tables.by_frequency
+    lanes = signs.size
+    sign = signs[chip]
+    signs[chip] = 0  # its lane is the flip alone
+    for j in range(lanes):
+        refused[j] = 0
+    for d in range(dip_count):
+        f = dips[d]
+        x0 = otf[0, f] + sign * by_chip[chip, 0, f]
+        y0 = otf[1, f] + sign * by_chip[chip, 1, f]
+        real = by_frequency[f, 0]
+        imaginary = by_frequency[f, 1]
+        for j in range(lanes):
+            x = x0 + signs[j] * real[j]
+            y = y0 + signs[j] * imaginary[j]
+            refused[j] += x * x + y * y < floor
+    signs[chip] = sign
+
+
+@inlined
+def _offer(
+    fine: Floats,
+    code: Codes,
+    precise: Floats,
+    deepest: NDArray[np.float64],
+    best: Codes,
+    best_count: NDArray[np.int64],
+) -> None:
+    """Append a code to the best if its smallest |P|^2 on the fine samples is the largest yet."""
+    lowest = _fine_power(fine, code, precise)
+    if lowest <= deepest[0]:
+        return
+    if best_count[0] == best.shape[0]:
+        for r in range(1, best.shape[0]):
+            best[r - 1] = best[r]
+        best_count[0] -= 1
+    best[best_count[0]] = code
+    best_count[0] += 1
+    deepest[0] = lowest
+
+
 @compiled
 def sweep(
     tables: Any,
@@ -180,111 +249,73 @@ def sweep(
         How many codes were filled in.
     """
     by_chip = tables.by_chip
-    by_frequency = tables.by_frequency
-    fine = tables.fine
     chips = by_chip.shape[0]
     size = by_chip.shape[2]
-    lanes = by_frequency.shape[2]
+    lanes = tables.by_frequency.shape[2]
     otf = np.zeros((2, size), np.float32)
     power = np.empty(size, np.float32)
     signs = np.zeros(lanes, np.float32)
     refused = np.empty(lanes, np.int32)
     dips = np.zeros(_DIPS, np.int64)
-    precise = np.empty((2, fine.shape[2]), np.float32)
+    precise = np.empty((2, tables.fine.shape[2]), np.float32)
     open_chips = 0
-    for j in range(chips):
-        signs[j] = 1 - 2 * code[j]
-        open_chips += code[j]
-        if code[j]:
+    for chip in range(chips):
+        signs[chip] = 1 - 2 * code[chip]
+        open_chips += code[chip]
+        if code[chip]:
             for f in range(size):
-                otf[0, f] += by_chip[j, 0, f]
-                otf[1, f] += by_chip[j, 1, f]
+                otf[0, f] += by_chip[chip, 0, f]
+                otf[1, f] += by_chip[chip, 1, f]
     zero = np.float32(0)
     cost = _term_sum(by_chip, otf, 0, 0, zero, zero)
-    count = _find_dips(otf, power, dips)
+    dip_count = _find_dips(otf, power, dips)
     heat = temperature * np.log(10.0) / 2.5  # from dB of the sum's fourth root to its exponent
     judged_moves = 0
     while judged_moves < moves:
         judged_moves += chips
-        i = int(uniform(random) * chips)
+        chip = int(uniform(random) * chips)
         limit = np.float32(cost * (1.0 - uniform(random)) ** -heat)
         # partners from a random one on: the first that passes is taken
         start = int(uniform(random) * chips)
         # one term alone exceeds the limit where |P|^2 is below this
         floor = np.float32(1.0 / np.sqrt(np.sqrt(limit)))
-        sign_i = signs[i]
-        signs[i] = 0  # its lane is the flip alone
-        for j in range(lanes):
-            refused[j] = 0
-        for d in range(count):
-            f = dips[d]
-            x0 = otf[0, f] + sign_i * by_chip[i, 0, f]
-            y0 = otf[1, f] + sign_i * by_chip[i, 1, f]
-            real = by_frequency[f, 0]
-            imaginary = by_frequency[f, 1]
-            for j in range(lanes):
-                x = x0 + signs[j] * real[j]
-                y = y0 + signs[j] * imaginary[j]
-                refused[j] += x * x + y * y < floor
-        signs[i] = sign_i
-        once = tables.low <= open_chips + int(sign_i) <= tables.high
-        twice = tables.low <= open_chips + 2 * int(sign_i) <= tables.high
+        _refuse_partners(tables, otf, dips, dip_count, chip, signs, floor, refused)
+        sign = signs[chip]
+        once = tables.low <= open_chips + int(sign) <= tables.high
+        twice = tables.low <= open_chips + 2 * int(sign) <= tables.high
         for step in range(chips):
-            j = start + step
-            if j >= chips:
-                j -= chips
-            if refused[j] > 0:
+            partner = start + step
+            if partner >= chips:
+                partner -= chips
+            if refused[partner] > 0:
                 continue
-            sign_j = zero
-            if j != i:
-                sign_j = signs[j]
-            if sign_j == zero:
+            partner_sign = zero
+            if partner != chip:
+                partner_sign = signs[partner]
+            if partner_sign == zero:
                 if not once:
                     continue
-            elif sign_j == sign_i and not twice:
+            elif partner_sign == sign and not twice:
                 continue
-            changed = _term_sum(by_chip, otf, i, j, sign_i, sign_j)
+            changed = _term_sum(by_chip, otf, chip, partner, sign, partner_sign)
             if changed > limit:
                 continue
             cost = changed
             for f in range(size):
-                otf[0, f] += sign_i * by_chip[i, 0, f] + sign_j * by_chip[j, 0, f]
-                otf[1, f] += sign_i * by_chip[i, 1, f] + sign_j * by_chip[j, 1, f]
-            code[i] = 1 - code[i]
-            signs[i] = -sign_i
-            open_chips += int(sign_i) + int(sign_j)
-            if j != i:
-                code[j] = 1 - code[j]
-                signs[j] = -sign_j
-            count = _find_dips(otf, power, dips)
+                otf[0, f] += sign * by_chip[chip, 0, f] + partner_sign * by_chip[partner, 0, f]
+                otf[1, f] += sign * by_chip[chip, 1, f] + partner_sign * by_chip[partner, 1, f]
+            code[chip] = 1 - code[chip]
+            signs[chip] = -sign
+            open_chips += int(sign) + int(partner_sign)
+            if partner != chip:
+                code[partner] = 1 - code[partner]
+                signs[partner] = -partner_sign
+            dip_count = _find_dips(otf, power, dips)
             lowest = np.float32(np.inf)
-            for d in range(count):
+            for d in range(dip_count):
                 lowest = min(lowest, power[dips[d]])
             # what is deepest on the coarse samples need not be so between them
             if lowest > deepest[0]:
-                lowest = _fine_power(fine, code, precise)
-                if lowest > deepest[0]:
-                    if best_count[0] == best.shape[0]:
-                        for r in range(1, best.shape[0]):
-                            best[r - 1] = best[r]
-                        best_count[0] -= 1
-                    best[best_count[0]] = code
-                    best_count[0] += 1
-                    deepest[0] = lowest
+                _offer(tables.fine, code, precise, deepest, best, best_count)
             break
     return judged_moves
-
-
-@inlined
-def _fine_power(fine: Floats, code: Codes, otf: Floats) -> np.float32:
-    """Smallest |P|^2 of a code on the fine samples; ``otf`` (2, G) is work space."""
-    otf[:] = 0
-    for j in range(len(code)):
-        if code[j]:
-            for g in range(otf.shape[1]):
-                otf[0, g] += fine[j, 0, g]
-                otf[1, g] += fine[j, 1, g]
-    lowest = np.float32(np.inf)
-    for g in range(otf.shape[1]):
-        lowest = min(lowest, otf[0, g] * otf[0, g] + otf[1, g] * otf[1, g])
-    return lowest

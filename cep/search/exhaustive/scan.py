@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.compiled import compiled
+from cep.compiled import compiled, inlined
 from cep.search.annealing.proposals import LoopLimits, keeps_runs
 
 INNER = 10  # chips of a block: its 1024 bits are two vector registers
@@ -214,6 +214,25 @@ def _reaches(code: np.uint64, dense: NDArray[np.float32], limit2: np.float32) ->
     return True
 
 
+@inlined
+def _locate(
+    outer_sums: Ints,
+    near_sums: Ints,
+    pattern: int,
+    first_cell: Ints,
+    side: np.int32,
+    rows: NDArray[np.uint32],
+) -> None:
+    """Find the cell of the sum of all chips outside the block at each frequency."""
+    top = side - np.int32(1)
+    zero = np.int32(0)
+    frequencies = rows.size
+    for f in range(frequencies):
+        x = (outer_sums[f] + near_sums[pattern, f]) >> SHIFT
+        y = (outer_sums[frequencies + f] + near_sums[pattern, frequencies + f]) >> SHIFT
+        rows[f] = first_cell[f] + min(max(y, zero), top) * side + min(max(x, zero), top)
+
+
 @compiled
 def scan(
     blocks: CodeBlocks,
@@ -246,25 +265,22 @@ def scan(
     tail = blocks.tail
     tails = blocks.tails
     near_at = blocks.near_at
+    near_sums = blocks.middle.sums
+    near_open_chips = blocks.middle.open_chips
+    near_bits = blocks.middle.bits
     inner_bits = blocks.inner_bits
     inner_left = blocks.inner_left
     inner_count = blocks.inner_count
     first_cell = tables.first_cell
     cells = tables.cells
+    side = np.int32(tables.grid)
     rows = np.zeros(first_cell.size, np.uint32)
     # in fixed point, where a shift finds the cell, and a sum of parts has no rounding of its own
-    outer_sums = np.zeros(2 * first_cell.size, np.int32)
+    outer_sums = np.zeros(2 * rows.size, np.int32)
     alive = np.zeros(inner_left.shape[1], np.uint64)
-    chips = np.zeros(limits.chips, np.int8)
     words = alive.size
-    frequencies = first_cell.size
-    side = np.int32(tables.grid)
-    top = np.int32(tables.grid - 1)
-    zero = np.int32(0)
+    chips = np.zeros(limits.chips, np.int8)
     number = 0
-    near_sums = blocks.middle.sums
-    near_open_chips = blocks.middle.open_chips
-    near_bits = blocks.middle.bits
     room = survivors.size - near_bits.size * inner_bits.size
     most_near = near_at.size - 2
     start = span[2]
@@ -285,37 +301,35 @@ def scan(
             for k in range(near_at[low], near_at[high + 1]):
                 outside = open_chips + near_open_chips[k]
                 scanned[0] += inner_count[outside]
-                for f in range(frequencies):
-                    x = (outer_sums[f] + near_sums[k, f]) >> SHIFT
-                    y = (outer_sums[frequencies + f] + near_sums[k, frequencies + f]) >> SHIFT
-                    rows[f] = (
-                        first_cell[f] + min(max(y, zero), top) * side + min(max(x, zero), top)
-                    )
+                _locate(outer_sums, near_sums, k, first_cell, side, rows)
                 # plain loops over a length known only at run time: those become vector
                 # instructions
-                any_alive = np.uint64(1)
                 for word in range(words):
                     alive[word] = inner_left[outside, word]
-                for at in range(0, rows.size, 8):
-                    a = rows[at] * words
-                    b = rows[at + 1] * words
-                    c = rows[at + 2] * words
-                    d = rows[at + 3] * words
-                    e = rows[at + 4] * words
-                    f = rows[at + 5] * words
-                    g = rows[at + 6] * words
-                    h = rows[at + 7] * words
+                any_alive = np.uint64(1)
+                for first in range(0, rows.size, 8):
+                    cell0 = rows[first] * words
+                    cell1 = rows[first + 1] * words
+                    cell2 = rows[first + 2] * words
+                    cell3 = rows[first + 3] * words
+                    cell4 = rows[first + 4] * words
+                    cell5 = rows[first + 5] * words
+                    cell6 = rows[first + 6] * words
+                    cell7 = rows[first + 7] * words
                     any_alive = np.uint64(0)
                     for word in range(words):
                         bits = (
                             alive[word]
-                            & cells[a + word]
-                            & cells[b + word]
-                            & cells[c + word]
-                            & cells[d + word]
+                            & cells[cell0 + word]
+                            & cells[cell1 + word]
+                            & cells[cell2 + word]
+                            & cells[cell3 + word]
                         )
                         bits &= (
-                            cells[e + word] & cells[f + word] & cells[g + word] & cells[h + word]
+                            cells[cell4 + word]
+                            & cells[cell5 + word]
+                            & cells[cell6 + word]
+                            & cells[cell7 + word]
                         )
                         alive[word] = bits
                         any_alive |= bits
@@ -327,13 +341,9 @@ def scan(
                 for word in range(alive.size):
                     bits = alive[word]
                     while bits:
-                        code = (
-                            outer
-                            | inner_bits[
-                                64 * word + _ones((bits & (~bits + np.uint64(1))) - np.uint64(1))
-                            ]
-                        )
+                        lowest = _ones((bits & (~bits + np.uint64(1))) - np.uint64(1))
                         bits &= bits - np.uint64(1)
+                        code = outer | inner_bits[64 * word + lowest]
                         if limits.constrained:
                             for chip in range(chips.size):
                                 chips[chip] = (code >> np.uint64(chip)) & np.uint64(1)
