@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -47,6 +48,15 @@ class _Walk(NamedTuple):  # made by the ten thousand
     before: _Walk | None
     step: int
 
+    def steps(self) -> list[int]:
+        """Return its directed branches, the first first."""
+        steps = []
+        walk = self
+        while walk.before is not None:
+            steps.append(walk.step)
+            walk = walk.before
+        return steps[::-1]
+
 
 def smoothest_trail(graph: BranchGraph) -> FloatArray:
     """Find the walk over all branches with the least bending, and return it as one polyline.
@@ -67,88 +77,123 @@ def smoothest_trail(graph: BranchGraph) -> FloatArray:
     """
     if not graph.branches:
         return graph.nodes[:1]
-    lines = [
-        _line(branch.points[::direction], branch.node_pair[::direction])
-        for branch in graph.branches
-        for direction in (1, -1)
-    ]
-    leaving: dict[int, list[int]] = {}
-    for i, line in enumerate(lines):
-        leaving.setdefault(line.start, []).append(i)
-    optional = [branch.optional for branch in graph.branches]
-    weight = [branch.weight for branch in graph.branches]
-    extra = [_EXTRA_WEIGHT * branch.extra_px for branch in graph.branches]
-    total = sum(
-        weight[i] * (line.length + extra[i])
-        for i, line in enumerate(lines[::2])
-        if not optional[i]
-    )
-    # cost of each turn, and the recent branches after it
-    turns: dict[tuple[tuple[int, ...], int], tuple[float, tuple[int, ...]]] = {}
+    steps = _TrailSearch(graph).best_walk().steps()
+    polyline = [graph.branches[i // 2].points[:: -1 if i % 2 else 1] for i in steps]
+    return np.concatenate([polyline[0], *(points[1:] for points in polyline[1:])])
 
-    def extend(walk: _Walk, i: int) -> _Walk | None:
+
+class _TrailSearch:
+    """Beam search over the walks of a graph.
+
+    A step is a directed branch: ``2 branch`` along its points, ``2 branch + 1`` against them.
+    """
+
+    def __init__(self, graph: BranchGraph) -> None:
+        self._lines = [
+            _line(branch.points[::direction], branch.node_pair[::direction])
+            for branch in graph.branches
+            for direction in (1, -1)
+        ]
+        self._leaving: dict[int, list[int]] = {}
+        for i, line in enumerate(self._lines):
+            self._leaving.setdefault(line.start, []).append(i)
+        self._optional = [branch.optional for branch in graph.branches]
+        self._weight = [branch.weight for branch in graph.branches]
+        self._extra_px = [_EXTRA_WEIGHT * branch.extra_px for branch in graph.branches]
+        self._buried = {
+            node: _BURIED_END_COST * (len(steps) > 1) for node, steps in self._leaving.items()
+        }
+        # cost of each turn, and the recent branches after it
+        self._turns: dict[tuple[tuple[int, ...], int], tuple[float, tuple[int, ...]]] = {}
+
+    def best_walk(self) -> _Walk:
+        """Return the walk of least cost."""
+        walks = self._starts()
+        best = walks[0]
+        best_cost = np.inf
+        for _ in range(_MOST_PASSES * len(self._lines)):
+            if not walks:
+                break
+            for walk in walks:
+                final = self._final_cost(walk)
+                if final < best_cost - 1e-9:
+                    best = walk
+                    best_cost = final
+            walks = [
+                longer
+                for walk in _most_promising(walks)
+                for longer in self._continued(walk)
+                # reliefs of later reversals may still lower the cost
+                if longer.cost < best_cost + 4
+            ]
+        return best
+
+    def _starts(self) -> list[_Walk]:
+        """Return all walks of one step."""
+        total_px = sum(
+            weight * (line.length + extra_px)
+            for line, weight, extra_px, optional in zip(
+                self._lines[::2], self._weight, self._extra_px, self._optional, strict=True
+            )
+            if not optional
+        )
+        starts = [
+            self._extended(_Walk(self._buried[line.start], total_px, 0, (), None, -2), i)
+            for i, line in enumerate(self._lines)
+        ]
+        return [walk for walk in starts if walk is not None]
+
+    def _final_cost(self, walk: _Walk) -> float:
+        """Cost of a walk that ends here."""
+        end = self._lines[walk.step].stop
+        return walk.cost + self._buried[end] + _UNCOVERED_COST * walk.uncovered_px
+
+    def _continued(self, walk: _Walk) -> Iterator[_Walk]:
+        """Yield a walk with each step that may follow; it turns back at a dead end alone."""
+        if walk.uncovered_px < 1e-6:
+            return
+        following = self._leaving[self._lines[walk.step].stop]
+        dead_end = len(following) == 1
+        for i in following:
+            if i == walk.step ^ 1 and not dead_end:
+                continue
+            longer = self._extended(walk, i)
+            if longer is not None:
+                yield longer
+
+    def _extended(self, walk: _Walk, i: int) -> _Walk | None:
+        """Return a walk with one more step; None where its branch was passed often enough."""
         branch = i // 2
-        line = lines[i]
+        line = self._lines[i]
         relief = _REVERSAL_RELIEF if walk.step == i ^ 1 else 0.0
         passes = (walk.passes >> 2 * branch) & 3
-        if passes >= _MOST_PASSES or (optional[branch] and passes):
+        if passes >= _MOST_PASSES or (self._optional[branch] and passes):
             return None
-        turn = turns.get((walk.recent, i))
+        turn = self._turns.get((walk.recent, i))
         if turn is None:
-            turn = turns[walk.recent, i] = _turn(lines, walk.recent, i)
+            turn = self._turns[walk.recent, i] = _turn(self._lines, walk.recent, i)
         cost = walk.cost + turn[0] - relief
         uncovered_px = walk.uncovered_px
-        if optional[branch]:
+        if self._optional[branch]:
             cost += _GAP_COST * line.length
         elif passes:
             cost += _REPEAT_COST * line.length + line.bend_cost
             if passes == 1:
-                uncovered_px -= weight[branch] * extra[branch]
+                uncovered_px -= self._weight[branch] * self._extra_px[branch]
         else:
-            uncovered_px -= weight[branch] * line.length
+            uncovered_px -= self._weight[branch] * line.length
         return _Walk(cost, uncovered_px, walk.passes + (1 << 2 * branch), turn[1], walk, i)
 
-    buried = {node: _BURIED_END_COST * (len(steps) > 1) for node, steps in leaving.items()}
-    walks = []
-    for i, line in enumerate(lines):
-        walk = extend(_Walk(buried[line.start], total, 0, (), None, -2), i)
-        if walk is not None:
-            walks.append(walk)
-    best = walks[0]
-    best_cost = np.inf
-    for _ in range(_MOST_PASSES * len(lines)):
-        if not walks:
-            break
-        for walk in walks:
-            final = walk.cost + buried[lines[walk.step].stop] + _UNCOVERED_COST * walk.uncovered_px
-            if final < best_cost - 1e-9:
-                best = walk
-                best_cost = final
-        unique: dict[tuple[tuple[int, ...], int], _Walk] = {}
-        for walk in walks:
-            key = (walk.recent, walk.passes)
-            if key not in unique or walk.cost < unique[key].cost:
-                unique[key] = walk
-        ranked = sorted(unique.values(), key=lambda w: w.cost + _PROMISE * w.uncovered_px)
-        walks = []
-        for walk in ranked[:_BEAM]:
-            if walk.uncovered_px < 1e-6:
-                continue
-            node = lines[walk.step].stop
-            dead_end = len(leaving[node]) == 1
-            for i in leaving[node]:
-                if i == walk.step ^ 1 and not dead_end:
-                    continue
-                longer = extend(walk, i)
-                # reliefs of later reversals may still lower the cost
-                if longer is not None and longer.cost < best_cost + 4:
-                    walks.append(longer)
-    steps = []
-    while best.before is not None:
-        steps.append(best.step)
-        best = best.before
-    polyline = [graph.branches[i // 2].points[:: -1 if i % 2 else 1] for i in reversed(steps)]
-    return np.concatenate([polyline[0], *(points[1:] for points in polyline[1:])])
+
+def _most_promising(walks: Iterable[_Walk]) -> list[_Walk]:
+    """Return the beam: of walks that passed the same branches and turn alike the cheapest one."""
+    unique: dict[tuple[tuple[int, ...], int], _Walk] = {}
+    for walk in walks:
+        key = (walk.recent, walk.passes)
+        if key not in unique or walk.cost < unique[key].cost:
+            unique[key] = walk
+    ranked = sorted(unique.values(), key=lambda w: w.cost + _PROMISE * w.uncovered_px)
+    return ranked[:_BEAM]
 
 
 def _line(points: FloatArray, node_pair: tuple[int, ...]) -> _Line:
