@@ -143,30 +143,8 @@ class BlindEstimator(ABC):
             greys = [
                 exposure_gain(photo) * grey for photo, grey in zip(photos, greys, strict=True)
             ]
-            count = min(self._crops, max(1, _MOST_CROPS // len(photos)))
             clipped = [clipped_mask(photo) for photo in photos]
-            levels: list[_Level] = []
-            for factor in _FACTORS:
-                images = list(zip(greys, clipped, strict=True))
-                cut = _each(images, partial(_textured_crops, factor=factor, count=count))
-                if len(cut) == 1:
-                    halved = None
-                    if min(images[0][0].shape) // factor >= _LEAST_HALVED_PX:
-                        halved = partial(_halved_crops, images[0], factor=factor, count=count)
-                    candidates = self.search(cut[0].crops, halved=halved)
-                    searched = self._without_lights(cut[0], candidates)
-                    level = _Level(factor, *searched, cut[0].crops)
-                else:
-                    level = self._fused(factor, cut, progress)
-                if levels and level.candidates.confidence < max(
-                    _LOST, levels[-1].candidates.confidence + _CLEARLY
-                ):
-                    break
-                levels.append(level)
-                if not _wants_halving(
-                    level, self.largest_px, min(min(grey.shape) for grey in greys)
-                ):
-                    break
+            levels = self._levels(greys, clipped, progress)
             best = levels[-1]
             corrected = self.corrected(best.crops, best.candidates)
             # a correction spreads light: extent and evenness are tested on the kernels as searched
@@ -192,6 +170,37 @@ class BlindEstimator(ABC):
             )
             progress.finish()
             return estimate
+
+    def _levels(
+        self,
+        greys: Sequence[FloatArray],
+        clipped: Sequence[NDArray[np.bool_]],
+        progress: Progress,
+    ) -> list[_Level]:
+        """Search the photos at their size, and at smaller ones while that finds more."""
+        count = min(self._crops, max(1, _MOST_CROPS // len(greys)))
+        images = list(zip(greys, clipped, strict=True))
+        least_px = min(min(grey.shape) for grey in greys)
+        levels: list[_Level] = []
+        for factor in _FACTORS:
+            cuts = _each(images, partial(_textured_crops, factor=factor, count=count))
+            if len(cuts) == 1:
+                halved = None
+                if least_px // factor >= _LEAST_HALVED_PX:
+                    halved = partial(_halved_crops, images[0], factor=factor, count=count)
+                candidates = self.search(cuts[0].crops, halved=halved)
+                searched = self._without_lights(cuts[0], candidates)
+                level = _Level(factor, *searched, cuts[0].crops)
+            else:
+                level = self._fused(factor, cuts, progress)
+            if levels and level.candidates.confidence < max(
+                _LOST, levels[-1].candidates.confidence + _CLEARLY
+            ):
+                break
+            levels.append(level)
+            if not _wants_halving(level, self.largest_px, least_px):
+                break
+        return levels
 
     def _fused(self, factor: int, cuts: Sequence[_Cut], progress: Progress) -> _Level:
         """Search the crops of each of several photos, and those of all together."""
