@@ -21,7 +21,7 @@ from motdiff.simulate import to_display, to_linear
 from motdiff.types import FloatArray
 
 # photos of more pixels are held in single precision: half the memory, and finer than any sensor
-LARGE_PX = 2**24
+SINGLE_PRECISION_PX = 2**24
 MIN_SIDE_PX = 16  # of a photo: below it there is no blur to speak of
 PICTURE_SUFFIXES = (".png", ".tif", ".tiff", ".jpg", ".jpeg")  # that write_image writes
 _JPEG_QUALITY = 95  # OpenCV's default
@@ -35,7 +35,7 @@ class Photo:
 
     Attributes
     ----------
-    pixels : (H, W) or (H, W, 3) float64, or float32 of more than :data:`LARGE_PX` pixels
+    pixels : (H, W) or (H, W, 3) float64, or float32 of more than SINGLE_PRECISION_PX pixels
         Linear light, 0..1, colours in the order red, green, blue.
     bits : int
         Bits per sample of the file: 8, 16, or 32 for floating point.
@@ -358,7 +358,7 @@ def _exponent(gamma: str | float) -> float | None:
 
 
 def _precision(decoded: NDArray[Any]) -> type:
-    return np.float32 if decoded.shape[0] * decoded.shape[1] > LARGE_PX else np.float64
+    return np.float32 if decoded.shape[0] * decoded.shape[1] > SINGLE_PRECISION_PX else np.float64
 
 
 def _checked_float(source: Path, decoded: NDArray[Any]) -> FloatArray:

@@ -31,11 +31,11 @@ from motdiff.simulate import to_display
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
-LARGE_PX = 4_000_000
+LARGEST_ESTIMATED_PX = 4_000_000
 """Photos of more pixels whose PSF is estimated are restored by the Wiener filter: others would
 take a minute."""
 
-LARGEST_PX = 16_000_000
+LARGEST_PNP_PX = 16_000_000
 """Photos of more pixels are restored by the Wiener filter: pnp would take minutes and 4 GB."""
 
 LEAST_CONFIDENCE = 0.5
@@ -245,13 +245,14 @@ def choose_method(
     size_px = channels_first(photo)[0].size
     if coded_motion:
         # ahead in every row of our tables with a known motion: docs/decisions/restoration.md
-        fits, most_px, reason = True, LARGEST_PX, "the photo is coded"
+        fits = trusted = True
+        reason = "the photo is coded"
     else:
         fits = _evidence(photo, psf).explains(trusted=trusted)
-        most_px, reason = LARGEST_PX if trusted else LARGE_PX, "the motion fits the photo"
-    if fits and size_px <= most_px:
+        reason = "the motion fits the photo"
+    if fits and size_px <= (LARGEST_PNP_PX if trusted else LARGEST_ESTIMATED_PX):
         return MethodChoice("pnp", reason)
-    if not fits and size_px <= LARGE_PX:
+    if not fits and size_px <= LARGEST_ESTIMATED_PX:
         return MethodChoice("tv", "the motion fits the photo badly")
     return MethodChoice("wiener", "the photo is large")
 
@@ -263,21 +264,9 @@ def restore_with_estimate(
     *,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> FloatArray:
-    """Restore a whole photo by a method of :func:`choose_method`, set for a PSF that may be wrong.
+    """Restore a whole photo by a method of :func:`choose_method`; the result is not clipped.
 
-    Parameters
-    ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-    psf : (S, S) array_like
-        Light-true.
-    method : {"pnp", "tv", "wiener"}
-        TV has a weight at which a wrong PSF rings less.
-    progress : callable, optional
-        Called with the finished share, 0..1.
-
-    Returns
-    -------
-    float64 like ``photo``, not clipped
+    The PSF may be wrong: TV has a weight at which it then rings less.
     """
     channels = channels_first(fill_clipped(photo, psf))
     if method == "pnp":
@@ -285,9 +274,8 @@ def restore_with_estimate(
     if method == "tv":
         # TV divides the photo by the light that came in, and its noise with it
         sigma = noise_sigma(channels.mean(axis=0)) / float(np.sum(psf))
-        jobs = [
-            partial(tv, channel, psf, weight=_WRONG_TV * _tv_weight(sigma)) for channel in channels
-        ]
+        weight = _WRONG_TV * _tv_weight(sigma)
+        jobs = [partial(tv, channel, psf, weight=weight) for channel in channels]
         return channels_last(np.stack(side_by_side(jobs)))
     side = 2 * _CROP_PX
     row, column = pick_crops(channels.mean(axis=0), size=side, count=1)[0]

@@ -23,7 +23,7 @@ from cep.restoration.clipping import clipped_warnings, fill_clipped
 from cep.restoration.direction import DIRECTIONS, LARGEST_CROP_PX, Direction, orders_in_time
 from cep.restoration.plug_and_play import pnp_together
 from cep.restoration.result import Restoration, misfit
-from cep.restoration.sharpen import LARGEST_PX
+from cep.restoration.sharpen import LARGEST_PNP_PX
 from motdiff.crops import centre_crop, clipped_mask, luminance
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.psf_frame import in_frame
@@ -180,9 +180,9 @@ def _check(
                 for colours, h, w in (images[0].shape, image.shape)
             )
             raise ValueError(f"photo {i}: has {size}, the first one {first_size}")
-    if images[0][0].size > LARGEST_PX:
+    if images[0][0].size > LARGEST_PNP_PX:
         raise ValueError(
-            f"photos: at most {LARGEST_PX / 1e6:g} megapixels are restored together; crop them"
+            f"photos: at most {LARGEST_PNP_PX / 1e6:g} megapixels are restored together; crop them"
         )
 
 

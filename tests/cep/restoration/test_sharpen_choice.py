@@ -92,7 +92,7 @@ def test_strong_noise_is_not_sharpened():
 
 
 def test_a_large_photo_is_restored_by_the_fast_method(monkeypatch):
-    monkeypatch.setattr(sharpen_module, "LARGE_PX", 200 * 200)
+    monkeypatch.setattr(sharpen_module, "LARGEST_ESTIMATED_PX", 200 * 200)
     photo, sharp = taken(np.stack([SCENE] * 3, axis=2))
     image, method = restore_chosen(photo, RIGHT)
     assert method == "wiener"
