@@ -112,20 +112,15 @@ class _TrailSearch:
         best = walks[0]
         best_cost = np.inf
         for _ in range(_MOST_PASSES * len(self._lines)):
-            if not walks:
-                break
             for walk in walks:
-                final = self._final_cost(walk)
+                end = self._lines[walk.step].stop
+                final = walk.cost + self._buried[end] + _UNCOVERED_COST * walk.uncovered_px
                 if final < best_cost - 1e-9:
                     best = walk
                     best_cost = final
-            walks = [
-                longer
-                for walk in _most_promising(walks)
-                for longer in self._continued(walk)
-                # reliefs of later reversals may still lower the cost
-                if longer.cost < best_cost + 4
-            ]
+            longer = (walk for beam in _beam(walks) for walk in self._continued(beam))
+            # reliefs of later reversals may still lower the cost
+            walks = [walk for walk in longer if walk.cost < best_cost + 4]
         return best
 
     def _starts(self) -> list[_Walk]:
@@ -137,29 +132,22 @@ class _TrailSearch:
             )
             if not optional
         )
-        starts = [
+        starts = (
             self._extended(_Walk(self._buried[line.start], total_px, 0, (), None, -2), i)
             for i, line in enumerate(self._lines)
-        ]
+        )
         return [walk for walk in starts if walk is not None]
-
-    def _final_cost(self, walk: _Walk) -> float:
-        """Cost of a walk that ends here."""
-        end = self._lines[walk.step].stop
-        return walk.cost + self._buried[end] + _UNCOVERED_COST * walk.uncovered_px
 
     def _continued(self, walk: _Walk) -> Iterator[_Walk]:
         """Yield a walk with each step that may follow; it turns back at a dead end alone."""
         if walk.uncovered_px < 1e-6:
             return
         following = self._leaving[self._lines[walk.step].stop]
-        dead_end = len(following) == 1
         for i in following:
-            if i == walk.step ^ 1 and not dead_end:
-                continue
-            longer = self._extended(walk, i)
-            if longer is not None:
-                yield longer
+            if i != walk.step ^ 1 or len(following) == 1:
+                longer = self._extended(walk, i)
+                if longer is not None:
+                    yield longer
 
     def _extended(self, walk: _Walk, i: int) -> _Walk | None:
         """Return a walk with one more step; None where its branch was passed often enough."""
@@ -185,15 +173,14 @@ class _TrailSearch:
         return _Walk(cost, uncovered_px, walk.passes + (1 << 2 * branch), turn[1], walk, i)
 
 
-def _most_promising(walks: Iterable[_Walk]) -> list[_Walk]:
-    """Return the beam: of walks that passed the same branches and turn alike the cheapest one."""
+def _beam(walks: Iterable[_Walk]) -> list[_Walk]:
+    """Return the most promising walks; of those that passed and turn alike the cheapest one."""
     unique: dict[tuple[tuple[int, ...], int], _Walk] = {}
     for walk in walks:
         key = (walk.recent, walk.passes)
         if key not in unique or walk.cost < unique[key].cost:
             unique[key] = walk
-    ranked = sorted(unique.values(), key=lambda w: w.cost + _PROMISE * w.uncovered_px)
-    return ranked[:_BEAM]
+    return sorted(unique.values(), key=lambda w: w.cost + _PROMISE * w.uncovered_px)[:_BEAM]
 
 
 def _line(points: FloatArray, node_pair: tuple[int, ...]) -> _Line:

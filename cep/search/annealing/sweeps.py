@@ -178,7 +178,6 @@ def _refuse_partners(
 ) -> None:
     """Count for each partner of a chip the dips where |P|^2 after the move is below the floor."""
     by_chip = tables.by_chip
-    by_frequency = tables.by_frequency
     lanes = signs.size
     sign = signs[chip]
     signs[chip] = 0  # its lane is the flip alone
@@ -188,8 +187,8 @@ def _refuse_partners(
         f = dips[d]
         x0 = otf[0, f] + sign * by_chip[chip, 0, f]
         y0 = otf[1, f] + sign * by_chip[chip, 1, f]
-        real = by_frequency[f, 0]
-        imaginary = by_frequency[f, 1]
+        real = tables.by_frequency[f, 0]
+        imaginary = tables.by_frequency[f, 1]
         for j in range(lanes):
             x = x0 + signs[j] * real[j]
             y = y0 + signs[j] * imaginary[j]
