@@ -42,7 +42,7 @@ class Settings:
                 raise ValueError(f"{name}: must be at least 1, got {getattr(self, name)}")
 
 
-class Trainer(AveragedNetwork[CorrectionNetwork]):
+class CorrectionTrainer(AveragedNetwork[CorrectionNetwork]):
     """Network, its optimiser, and the running average of its weights, which is exported.
 
     Parameters
@@ -131,7 +131,7 @@ def train(
     report : callable
         Called with a line of progress at every file.
     """
-    trainer = Trainer(settings, device=device)
+    trainer = CorrectionTrainer(settings, device=device)
     passes = [described(samples, device=device)]
     started = saved = clock()
     while trainer.step < settings.steps:

@@ -64,7 +64,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def _train(options: argparse.Namespace) -> None:
     from lab.trainings.dce.samples import Samples, motion_mix
-    from lab.trainings.dce.training import START, Settings, Trainer, train
+    from lab.trainings.dce.training import START, CodeTrainer, Settings, train
     from motdiff.psf_frame import PSF_PX
     from motdiff.training.photos import load_photos
 
@@ -73,7 +73,9 @@ def _train(options: argparse.Namespace) -> None:
     mix = motion_mix(options.gyro)
     chips = len(settings.start)
     samples = Samples(photos, mix, chips=chips, crop_px=settings.crop_px, seed=settings.seed)
-    train(Trainer(settings), samples, options.out, steps=options.steps, minutes=options.minutes)
+    train(
+        CodeTrainer(settings), samples, options.out, steps=options.steps, minutes=options.minutes
+    )
 
 
 def _export(options: argparse.Namespace) -> None:

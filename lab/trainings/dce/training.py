@@ -71,7 +71,7 @@ class Settings:
         ShutterCode(self.start)
 
 
-class Trainer:
+class CodeTrainer:
     """Network, code and their optimisers.
 
     Parameters
@@ -181,7 +181,7 @@ def photos_of(batch: Batch, chips: Tensor) -> Tensor:
 
 
 def train(
-    trainer: Trainer,
+    trainer: CodeTrainer,
     samples: Samples,
     folder: Path,
     *,
@@ -193,7 +193,7 @@ def train(
 
     Parameters
     ----------
-    trainer : Trainer
+    trainer : CodeTrainer
     samples : Samples
     folder : path
         ``checkpoint`` and ``log.csv`` go there.
@@ -233,7 +233,7 @@ def train(
     trainer.save(folder / "checkpoint")
 
 
-def _log(path: Path, trainer: Trainer, loss: float) -> None:
+def _log(path: Path, trainer: CodeTrainer, loss: float) -> None:
     code = trainer.code
     flips = sum(a != b for a, b in zip(code.bits, trainer.settings.start, strict=True))
     new = not path.exists()

@@ -56,7 +56,7 @@ class Settings:
     seed: int = 0
 
 
-class Trainer(AveragedNetwork[DenoisingNetwork]):
+class DenoiserTrainer(AveragedNetwork[DenoisingNetwork]):
     """Network, its optimiser, and the running average of its weights, which is exported.
 
     Parameters
@@ -220,7 +220,7 @@ def train(
     """
     if not 0 < minutes < math.inf:
         raise ValueError(f"minutes: must be above 0, got {minutes}")
-    trainer = Trainer(photos, paths, settings)
+    trainer = DenoiserTrainer(photos, paths, settings)
     started = saved = moment = clock()
     while moment - started < 60 * minutes:
         loss = trainer.update((moment - started) / (60 * minutes))

@@ -83,7 +83,7 @@ class Settings:
         return PathDenoiser(self.channels, self.layers, self.width)
 
 
-class Trainer(AveragedNetwork[PathDenoiser]):
+class DrawnPathTrainer(AveragedNetwork[PathDenoiser]):
     """Network, its optimiser, and the running average of its weights.
 
     Parameters
@@ -352,7 +352,7 @@ def train(
     FloatingPointError
         If more than a tenth of the updates exploded.
     """
-    trainer = Trainer(settings, device=device)
+    trainer = DrawnPathTrainer(settings, device=device)
     samples, held_out = (
         PathSamples(*(tensor.to(device) for tensor in vars(s).values()))
         for s in (samples, held_out)

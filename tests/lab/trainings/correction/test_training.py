@@ -19,7 +19,7 @@ from lab.trainings.correction.samples import (
     read_samples,
     searched,
 )
-from lab.trainings.correction.training import Settings, Trainer, corrected_mnc, train
+from lab.trainings.correction.training import CorrectionTrainer, Settings, corrected_mnc, train
 from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.metrics import mnc
 from motdiff.network.correction import MAPS, CorrectionNetwork
@@ -155,7 +155,7 @@ def test_the_likeness_is_the_mnc():
 
 
 def test_training_removes_a_tail_that_no_kernel_has(kernels):
-    trainer = Trainer(Settings(steps=200, batch=4, rate=5e-3))
+    trainer = CorrectionTrainer(Settings(steps=200, batch=4, rate=5e-3))
     losses = [trainer.update(kernels) for _ in range(60)]
     assert np.mean(losses[-5:]) < 0.6 * np.mean(losses[:3])
 
@@ -178,7 +178,7 @@ def test_a_run_writes_as_it_goes_and_its_average_at_the_end(samples, tmp_path):
     assert card["steps"] == 5
     assert card["seconds"] == 50
     assert card["settings"] == {"steps": 5, "batch": 2, "rate": 1.5e-3, "seed": 0}
-    trainer = Trainer(settings)
+    trainer = CorrectionTrainer(settings)
     first = described(samples)
     passes = [first]
     for _ in range(5):

@@ -13,7 +13,7 @@ from cep.files.images import write_image
 from cep.optics.code import ShutterCode
 from lab.trainings.dce.__main__ import run
 from lab.trainings.dce.samples import SIGMA_MAX, Samples, motion_mix
-from lab.trainings.dce.training import START, Settings, Trainer, train
+from lab.trainings.dce.training import START, CodeTrainer, Settings, train
 from lab.trainings.dce.weights import SCHEMA, export_weights, load_network, read_card, restore
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 
@@ -31,7 +31,7 @@ def samples(photos, settings=TINY):
 def trained(photos, tmp_path_factory):
     """A run of 8 steps in one go, and its folder."""
     folder = tmp_path_factory.mktemp("run")
-    trainer = Trainer(TINY)
+    trainer = CodeTrainer(TINY)
     train(trainer, samples(photos), folder, steps=8)
     return trainer, folder
 
@@ -73,14 +73,14 @@ def test_a_sample_is_a_photo_its_frames_and_its_noise(photos):
 
 
 def test_the_same_batch_is_restored_better_and_better(photos):
-    trainer = Trainer(TINY)
+    trainer = CodeTrainer(TINY)
     batch = samples(photos).batch(0, 2)
     losses = [trainer.update(batch, progress=0.0) for _ in range(30)]
     assert losses[-1] < 0.8 * losses[0]
 
 
 def test_the_code_is_learned_in_the_middle_half_alone(photos):
-    trainer = Trainer(TINY)
+    trainer = CodeTrainer(TINY)
     source = samples(photos)
     before = trainer.weights.detach().clone()
     for step, (progress, learns) in enumerate(
@@ -92,7 +92,7 @@ def test_the_code_is_learned_in_the_middle_half_alone(photos):
 
 
 def test_the_code_stays_a_code_however_hard_it_is_pushed(photos):
-    trainer = Trainer(Settings(start="1101", batch=2, crop_px=16, code_rate=0.5))
+    trainer = CodeTrainer(Settings(start="1101", batch=2, crop_px=16, code_rate=0.5))
     source = samples(photos)
     source = Samples(photos, motion_mix(None), chips=4, crop_px=16, seed=0)
     for step in range(12):
@@ -103,7 +103,7 @@ def test_the_code_stays_a_code_however_hard_it_is_pushed(photos):
 
 
 def test_a_loss_that_is_no_number_stops_the_run(photos):
-    trainer = Trainer(TINY)
+    trainer = CodeTrainer(TINY)
     batch = samples(photos).batch(0, 2)
     batch.noise.fill_(torch.nan)
     with pytest.raises(FloatingPointError, match="loss: is nan at step 0"):
@@ -115,29 +115,29 @@ def test_a_loss_that_is_no_number_stops_the_run(photos):
 
 def test_two_pieces_give_what_one_gives(trained, photos, tmp_path):
     whole, _ = trained
-    first = Trainer(TINY)
+    first = CodeTrainer(TINY)
     source = samples(photos)
     for step in range(5):  # the code is being learned
         first.update(source.batch(step, TINY.batch), progress=step / 8)
     first.save(tmp_path / "checkpoint")
-    second = Trainer(TINY)
+    second = CodeTrainer(TINY)
     train(second, source, tmp_path, steps=8)
     assert second.step == whole.step == 8
     assert torch.equal(second.weights, whole.weights)
-    assert not torch.equal(whole.weights, Trainer(TINY).weights)
+    assert not torch.equal(whole.weights, CodeTrainer(TINY).weights)
     for one, other in zip(second.network.parameters(), whole.network.parameters(), strict=True):
         assert torch.equal(one, other)
 
 
 def test_a_piece_ends_when_its_time_is_over_and_is_kept(photos, tmp_path):
-    train(Trainer(TINY), samples(photos), tmp_path, steps=8, minutes=1e-9)
+    train(CodeTrainer(TINY), samples(photos), tmp_path, steps=8, minutes=1e-9)
     assert read_checkpoint(tmp_path / "checkpoint").step == 1
-    train(Trainer(TINY), samples(photos), tmp_path, steps=8, minutes=0)
+    train(CodeTrainer(TINY), samples(photos), tmp_path, steps=8, minutes=0)
     assert read_checkpoint(tmp_path / "checkpoint").step == 1
 
 
 def test_the_log_says_how_the_code_went(photos, tmp_path):
-    train(Trainer(TINY), samples(photos), tmp_path, steps=20)
+    train(CodeTrainer(TINY), samples(photos), tmp_path, steps=20)
     with (tmp_path / "log.csv").open(newline="") as file:
         rows = list(csv.DictReader(file))
     assert [int(row["step"]) for row in rows] == [10, 20]
@@ -152,7 +152,8 @@ def test_another_run_s_checkpoint_is_refused(trained):
     _, folder = trained
     other = Settings(**(TINY.__dict__ | {"seed": 7}))
     refused(
-        lambda: Trainer(other).resume(folder / "checkpoint"), "^seed: the run in .* has 0, got 7"
+        lambda: CodeTrainer(other).resume(folder / "checkpoint"),
+        "^seed: the run in .* has 0, got 7",
     )
 
 

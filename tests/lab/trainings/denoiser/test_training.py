@@ -16,7 +16,7 @@ from cep.restoration.plug_and_play import pnp
 from lab.trainings.denoiser import samples
 from lab.trainings.denoiser.__main__ import run
 from lab.trainings.denoiser.samples import Photos
-from lab.trainings.denoiser.training import Settings, Trainer, scene_strength, train
+from lab.trainings.denoiser.training import DenoiserTrainer, Settings, scene_strength, train
 from motdiff.simulate import to_linear
 from motdiff.training.photos import load_photos
 from motdiff.weights_io import read_card
@@ -102,7 +102,7 @@ def test_an_open_shutter_s_otf_is_that_of_the_motion():
 
 @pytest.mark.parametrize("progress", [0.0, 0.5])
 def test_both_halves_lower_the_error_of_a_restored_photo(joined, paths, progress):
-    trainer = Trainer(joined, paths, replace(TINY, batch=4))
+    trainer = DenoiserTrainer(joined, paths, replace(TINY, batch=4))
     scene = samples.scenes(joined, 4, 72, generator(5))
     sigma = torch.full((4,), 0.05)
     noisy = scene + samples.white_noise(scene, sigma, generator(6))
@@ -127,7 +127,7 @@ def _point():
 
 def test_the_unrolled_restoration_is_that_of_the_package(joined, paths):
     """What is trained is what users get: the same photo, PSF and noise at periodic borders."""
-    trainer = Trainer(joined, paths, TINY)
+    trainer = DenoiserTrainer(joined, paths, TINY)
     scene = samples.scenes(joined, 1, 80, generator(1))
     psf = samples.psfs(paths, 1, generator(2))[0]
     H = samples.otfs(psf, 80)
@@ -153,7 +153,7 @@ def test_the_unrolled_restoration_is_that_of_the_package(joined, paths):
 def test_the_step_size_ends_near_nothing(joined, paths):
     moved = []
     for progress in (0.3, 1.0):
-        trainer = Trainer(joined, paths, TINY)
+        trainer = DenoiserTrainer(joined, paths, TINY)
         before = trainer.network.head.weight.detach().clone()
         trainer.update(progress)
         moved.append(float((trainer.network.head.weight.detach() - before).abs().max()))
@@ -183,7 +183,7 @@ def test_a_run_is_as_long_as_its_clock_says_and_writes_as_it_goes(joined, paths,
 
 def test_what_is_written_is_the_average_of_the_weights(joined, paths, tmp_path):
     train(joined, paths, tmp_path / "d.safetensors", minutes=1.0, settings=TINY, clock=clock(20.0))
-    trainer = Trainer(joined, paths, TINY)
+    trainer = DenoiserTrainer(joined, paths, TINY)
     average = trainer.network.head.weight.detach().clone()
     for step, old_share in enumerate((1 / 10, 2 / 11, 3 / 12)):
         trainer.update(step / 3)

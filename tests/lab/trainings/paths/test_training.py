@@ -17,7 +17,7 @@ from lab.trainings.paths.samples import (
     read_samples,
     turned,
 )
-from lab.trainings.paths.training import Batches, Settings, Trainer, figures, train
+from lab.trainings.paths.training import Batches, DrawnPathTrainer, Settings, figures, train
 from motdiff.blind_search.grids import SYMMETRIES, mirrored
 from motdiff.motions import boracchi_foi
 from motdiff.training.motion_bank import MotionMix
@@ -88,7 +88,7 @@ def test_a_path_with_hardly_any_noise_stays_as_it_is():
 
 def test_training_brings_the_loss_down_and_throws_exploding_updates_away():
     samples = some_samples()
-    trainer = Trainer(Settings(**SMALL, batch=8, rate=3e-3, clean=0.25))
+    trainer = DrawnPathTrainer(Settings(**SMALL, batch=8, rate=3e-3, clean=0.25))
     batches = Batches(samples, samples.points, generator=trainer.generator)
     losses = [trainer.update(*batches.batch(8, 0.25), share=0.1) for _ in range(80)]
     assert np.mean(losses[-30:]) < 0.85 * np.mean(losses[:10])
