@@ -11,7 +11,13 @@ import torch
 from torch import Tensor
 
 from motdiff.blind_search.grids import downsampled, fast_size, periodic_extension, resized_kernel
-from motdiff.blind_search.kernel import centred, fit_kernel, without_faint_light, without_specks
+from motdiff.blind_search.kernel import (
+    centred,
+    centred_together,
+    fit_kernel,
+    without_faint_light,
+    without_specks,
+)
 from motdiff.blind_search.latent import (
     Coupling,
     l0_pmp_latent,
@@ -99,6 +105,7 @@ def estimate_kernels(
     start: Start,
     *,
     settings: PmpSettings = PmpSettings(),
+    one_scene: bool = False,
     on_progress: Callable[[float], None] = lambda _share: None,
 ) -> Tensor:
     """Estimate one blur kernel per photo from its crops.
@@ -110,19 +117,27 @@ def estimate_kernels(
         where the start has them turned.
     start : Start
     settings : PmpSettings
+    one_scene : bool
+        The photos show one scene, to a few px, equally bright: they share the latent photo, in
+        which one kernel's zeros are another's light, and the kernels' shifts are the photos'.
     on_progress : callable, optional
         Called with the finished share 0..1, after each alternation of photo and kernel.
 
     Returns
     -------
-    (B, size, size) float32: non-negative, sum 1, centroid at the centre.
+    (B, size, size) float32: non-negative, sum 1, centroid at the centre: of each, or of all
+    together where they are of one scene.
 
     References
     ----------
     Wen et al., "A simple local minimal intensity prior and an improved algorithm for blind image
-    deblurring", IEEE TCSVT 2021, algorithm 3.
+    deblurring", IEEE TCSVT 2021, algorithm 3; Sroubek and Milanfar, "Robust multichannel blind
+    deconvolution via fast alternating minimization", IEEE TIP 21(4), 2012 (several photos of one
+    scene).
     """
     size = start.size
+    exposures = len(photos) if one_scene else 1
+    centre = centred_together if one_scene else centred
     scales = max(math.floor(math.log(_COARSEST_PX / size) / math.log(_RATIO)), 0) + 1
     mean_side_px = 0.5 * (photos.shape[-1] + photos.shape[-2])
     patch_px = max(2, math.floor(_PATCH_SHARE * mean_side_px))
@@ -163,7 +178,8 @@ def estimate_kernels(
                 patch_px=patch_px,
                 coarse=scale + 1 >= scales / 2,
                 coupling=settings.coupling,
-            )[:, :height, :width]
+                exposures=exposures,
+            )[:, :height, :width].repeat(exposures, 1, 1)
             kernel = fit_kernel(
                 _by_photo(salient_gradients(latent, threshold), batch),
                 blurred_gradients,
@@ -189,18 +205,21 @@ def estimate_kernels(
                 sigma=_SHRUNK_NOISE * settings.sigma,
                 coupling=settings.coupling,
                 rounds=_ROUNDS,
+                exposures=exposures,
             )
             cost += costs[scale]
             on_progress(cost / total)
-        kernel = centred(kernel)  # else the next scale's frame might cut it
+        kernel = centre(kernel)  # else the next scale's frame might cut it
     kernel = without_faint_light(kernel, below=_KEEP_SHARE)
     if settings.fine_weights:
-        kernel = centred(refine_kernel(photos, kernel, sigma=settings.sigma))
+        kernel = centre(refine_kernel(photos, kernel, sigma=settings.sigma, one_scene=one_scene))
     on_progress(1.0)
     return kernel
 
 
-def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
+def refine_kernel(
+    photos: Tensor, kernel: Tensor, *, sigma: float, one_scene: bool = False
+) -> Tensor:
     """Fit the kernel three times more at full size, to all gradients of a detailed latent photo.
 
     The search uses only strong edges, for robustness; near the solution the other gradients
@@ -213,6 +232,8 @@ def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
     kernel : (B, k, k) float32, odd k, sum 1
     sigma : float
         Standard deviation of the noise.
+    one_scene : bool
+        As of :func:`estimate_kernels`.
 
     Returns
     -------
@@ -232,6 +253,7 @@ def refine_kernel(photos: Tensor, kernel: Tensor, *, sigma: float) -> Tensor:
             sigma=sigma,
             coupling=_FINE_COUPLING,
             rounds=_FINE_ROUNDS,
+            exposures=batch if one_scene else 1,
         )
     return kernel
 
@@ -253,6 +275,7 @@ def fine_latent(
     sigma: float,
     gradient_weight: float = _FINE_GRADIENT_FLOOR,
     coupling: Coupling = _FINE_COUPLING,
+    exposures: int = 1,
 ) -> Tensor:
     """Restore a latent photo with fine detail, with a prior on gradients alone.
 
@@ -264,10 +287,12 @@ def fine_latent(
         Standard deviation of the noise.
     gradient_weight : float
         Weight of the gradient count without noise.
+    exposures : int
+        As of :func:`motdiff.blind_search.latent.l0_pmp_latent`.
 
     Returns
     -------
-    (B, H, W) float.
+    (B / I, H, W) float.
     """
     return l0_pmp_latent(
         wrapped,
@@ -277,6 +302,7 @@ def fine_latent(
         patch_px=1,
         coarse=False,
         coupling=coupling,
+        exposures=exposures,
     )
 
 
@@ -289,6 +315,7 @@ def _fitted_to_all(
     sigma: float,
     coupling: Coupling,
     rounds: tuple[int, int],
+    exposures: int,
 ) -> Tensor:
     """Alternate photo and kernel (B, k, k) once, without minimal pixels and with all gradients.
 
@@ -297,9 +324,14 @@ def _fitted_to_all(
     batch, crops, rows, columns = blurred[0].shape
     repeated = kernel.repeat_interleave(crops, dim=0)
     latent = fine_latent(
-        wrapped, repeated, sigma=sigma, gradient_weight=gradient_weight, coupling=coupling
+        wrapped,
+        repeated,
+        sigma=sigma,
+        gradient_weight=gradient_weight,
+        coupling=coupling,
+        exposures=exposures,
     )
-    latent = latent[:, : rows + 1, : columns + 1]
+    latent = latent[:, : rows + 1, : columns + 1].repeat(exposures, 1, 1)
     fitted = fit_kernel(
         _by_photo(salient_gradients(latent, latent.new_zeros(batch * crops)), batch),
         blurred,

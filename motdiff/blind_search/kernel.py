@@ -126,13 +126,24 @@ def without_specks(kernel: Tensor) -> Tensor:
 
 def centred(kernel: Tensor) -> Tensor:
     """Kernels (B, k, k), sum 1, moved by whole pixels: their centroid is the frame's centre."""
+    return _normalised(shifted(kernel[:, None], -_off_centre_px(kernel))[:, 0])
+
+
+def centred_together(kernel: Tensor) -> Tensor:
+    """Kernels (B, k, k), sum 1, all moved alike: their mean's centroid is the frame's centre."""
+    move = -_off_centre_px(kernel.mean(dim=0, keepdim=True)).expand(len(kernel), -1)
+    return _normalised(shifted(kernel[:, None], move)[:, 0])
+
+
+def _off_centre_px(kernel: Tensor) -> Tensor:
+    """Whole pixels (B, 2), down and right, of each centroid from the frame's centre."""
     _, rows, columns = kernel.shape
     total = kernel.sum(dim=(1, 2)).clamp(min=1e-12)
     y = torch.arange(rows, device=kernel.device)
     x = torch.arange(columns, device=kernel.device)
     down = torch.round((kernel.sum(dim=2) * y).sum(dim=1) / total).long() - rows // 2
     right = torch.round((kernel.sum(dim=1) * x).sum(dim=1) / total).long() - columns // 2
-    return _normalised(shifted(kernel[:, None], -torch.stack([down, right], dim=1))[:, 0])
+    return torch.stack([down, right], dim=1)
 
 
 def _lags(correlation: Tensor, reach: int) -> Tensor:

@@ -49,6 +49,7 @@ def l0_pmp_latent(
     patch_px: int,
     coarse: bool,
     coupling: Coupling,
+    exposures: int = 1,
 ) -> Tensor:
     """Restore a latent photo with few gradients, whose darkest pixel in each patch is near zero.
 
@@ -65,10 +66,13 @@ def l0_pmp_latent(
         Side of the patches whose minimum is shrunk, px.
     coarse : bool
         Shrink softly (coarse scales) instead of setting small minima to zero.
+    exposures : int
+        I photos of each scene, which share a latent photo: of ``B = I N`` photos each N-th shows
+        the same scene, through a kernel of its own.
 
     Returns
     -------
-    (B, H, W) float.
+    (B / I, H, W) float.
 
     References
     ----------
@@ -78,10 +82,10 @@ def l0_pmp_latent(
     """
     height, width = blurred.shape[-2:]
     K = psf_to_otf(kernel, (height, width))  # the papers' symbols: K the OTF, B the photo
-    KK = K.abs().square()
-    KB = K.conj() * torch.fft.rfft2(blurred)
+    KK = _mean_exposure(K.abs().square(), exposures)
+    KB = _mean_exposure(K.conj() * torch.fft.rfft2(blurred), exposures)
     DD = gradient_power(height, width, blurred)  # |D|^2 of both differences
-    photo = blurred
+    photo = _mean_exposure(blurred, exposures)
     for alpha in coupling.steps(gradient_weight):
         if intensity_weight > 0:
             photo = _shrink_minimal_pixels(photo, intensity_weight, patch_px, soft=coarse)
@@ -91,6 +95,11 @@ def l0_pmp_latent(
         X *= torch.add(KK, DD, alpha=alpha).reciprocal_()  # a division takes four times as long
         photo = torch.fft.irfft2(X, s=(height, width))
     return photo
+
+
+def _mean_exposure(maps: Tensor, exposures: int) -> Tensor:
+    """Mean (B / I, H, W) over the I exposures of each scene, of maps (B, H, W)."""
+    return maps if exposures == 1 else maps.view(exposures, -1, *maps.shape[1:]).mean(0)
 
 
 def start_threshold(photo: Tensor, *, size: int) -> Tensor:

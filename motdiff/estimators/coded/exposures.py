@@ -14,6 +14,7 @@ from scipy import ndimage
 from motdiff.crops import LEAST_PX, pick_crops, textured_luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
+from motdiff.estimators.coded.scene_kernels import kernels_of_one_scene
 from motdiff.estimators.coded.scene_term import SceneSpectra, scene_side_px, scene_spectra
 from motdiff.progress import Progress
 from motdiff.types import FloatArray
@@ -84,14 +85,15 @@ def exposures_of(
     progress: Progress | None = None,
     cost: float = 1.0,
 ) -> Exposures:
-    """Estimate the kernel of each photo on its own, and whether they show one scene.
+    """Estimate the photos' kernels, together where they show one scene, else each on its own.
 
     Parameters
     ----------
     photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
     codes : sequence of I str
     kernels : Estimator, optional
-        Estimator of a kernel; PMP when omitted.
+        Estimator of the kernel of each photo on its own; when omitted PMP, and the photos of one
+        scene together.
     progress : Progress, optional
         Its plan holds ``cost`` for this work already.
 
@@ -112,39 +114,45 @@ def exposures_of(
             raise ValueError(
                 f"photo {i}: has {w} x {h} px, the first one {w0} x {h0}; give photos of one size"
             )
-    estimates = _kernels_of(greys, kernels, progress, cost)
+    is_one_scene = len(greys) > 1 and _are_one_scene(greys)
+    is_joint = is_one_scene and kernels is None
+    # beside the joint search these tell the blur's extent, and whether the camera was at rest
+    open_photos = [i for i, code in enumerate(codes) if "0" not in code]
+    searched = open_photos if is_joint and open_photos else list(range(len(codes)))
+    joint_cost = 0.5 * cost if is_joint else 0.0
+    estimates = _kernels_of([greys[i] for i in searched], kernels, progress, cost - joint_cost)
     # one motion: a kernel much larger than the others is wrong
     shrunk = median_low(map(_shrunk, estimates))
+    decisive = [estimates[searched.index(i)] for i in open_photos] or estimates
+    is_at_rest = all(estimate.details.get("motion_blur") is False for estimate in decisive)
     if shrunk > 1:  # the blur outgrew the search
         size = (greys[0].shape[1] // shrunk, greys[0].shape[0] // shrunk)
         greys = [
             np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.float64)
             for grey in greys
         ]
-        progress.expect_more(cost)
-        estimates = _kernels_of(greys, kernels, progress, cost)
+        if not is_joint:
+            progress.expect_more(cost)
+            estimates = _kernels_of(greys, kernels, progress, cost)
     light = [code.count("1") for code in codes]
     order = sorted(range(len(light)), key=lambda i: -light[i])
-    confidences = tuple(estimates[i].confidence for i in order)
-    level = np.array([greys[i].mean() / light[i] for i in order])
+    greys = [greys[i] for i in order]
+    if is_joint:
+        psfs, confidences = kernels_of_one_scene(greys, progress=progress, cost=joint_cost)
+    else:
+        psfs = tuple(estimates[i].psf for i in order)
+        confidences = tuple(estimates[i].confidence for i in order)
+    level = np.array([grey.mean() / light[i] for grey, i in zip(greys, order, strict=True)])
     return Exposures(
         codes=tuple(codes[i] for i in order),
-        kernels=tuple(estimates[i].psf for i in order),
+        kernels=psfs,
         weights=BLIND_WEIGHT * np.clip(np.array(confidences), _LEAST_TRUST, 1) ** 2,
         gains=level / level[0],
-        photos=tuple(greys[i] for i in order) if _are_one_scene(greys) else (),
+        photos=tuple(greys) if is_one_scene else (),
         shrunk=shrunk,
         confidences=confidences,
-        at_rest=_at_rest(estimates, codes),
+        at_rest=decisive[0] if is_at_rest else None,
     )
-
-
-def _at_rest(estimates: Sequence[MotionEstimate], codes: Sequence[str]) -> MotionEstimate | None:
-    """Estimate of a camera at rest where the uncoded photos, or all without any, are sharp."""
-    pairs = zip(estimates, codes, strict=True)
-    decisive = [estimate for estimate, code in pairs if "0" not in code] or estimates
-    sharp = all(estimate.details.get("motion_blur") is False for estimate in decisive)
-    return decisive[0] if sharp else None
 
 
 def _kernels_of(

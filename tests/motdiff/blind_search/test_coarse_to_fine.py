@@ -45,7 +45,7 @@ def test_each_scale_has_its_alternations_and_the_refinement_closes_where_all_gra
     monkeypatch.setattr(
         coarse_to_fine,
         "refine_kernel",
-        lambda _photos, kernel, *, sigma: refined.append(sigma) or kernel,
+        lambda _photos, kernel, *, sigma, **_: refined.append(sigma) or kernel,
     )
     settings = PmpSettings(iterations=3, last_iterations=2, fine_weights=fine, sigma=0.01)
     light = torch.from_numpy(dead_leaves(60, 0).astype(np.float32))[None, None]

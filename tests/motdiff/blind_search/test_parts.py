@@ -227,6 +227,48 @@ def test_latent_of_a_point_kernel_is_the_photo_where_every_edge_is_strong():
     assert float((same - photo).abs().max()) < 0.03
 
 
+def latent_of(photos, kernels, *, exposures):
+    return latent.l0_pmp_latent(
+        photos,
+        kernels,
+        intensity_weight=0.0,
+        gradient_weight=1e-6,
+        patch_px=1,
+        coarse=False,
+        coupling=latent.Coupling(start=16.0, end=1e-4, growth=1.5),
+        exposures=exposures,
+    )
+
+
+def through(scene, kernel):
+    """Photo of a periodic scene (1, H, W) through a kernel (1, k, k)."""
+    spectrum = torch.fft.rfft2(scene) * grids.psf_to_otf(kernel, tuple(scene.shape[-2:]))
+    return torch.fft.irfft2(spectrum, s=tuple(scene.shape[-2:]))
+
+
+def test_copies_of_a_photo_share_its_latent_photo(scene):
+    photos = torch.stack([tensor(scene), tensor(scene).T.contiguous()])
+    kernels = torch.rand(2, 5, 5, generator=torch.Generator().manual_seed(0))
+    kernels = kernels / kernels.sum((1, 2), keepdim=True)
+    alone = latent_of(photos, kernels, exposures=1)
+    # three photos of each of the two scenes, the exposure first
+    shared = latent_of(photos.repeat(3, 1, 1), kernels.repeat(3, 1, 1), exposures=3)
+    # rounding may carry a gradient across the threshold
+    assert float((shared - alone).abs().mean()) < 1e-4
+
+
+def test_two_exposures_restore_what_one_extinguishes(scene):
+    truth = tensor(scene)[None]
+    across = torch.zeros(1, 9, 9)
+    across[0, 4] = 1 / 9
+    kernels = torch.cat([across, across.transpose(1, 2)])
+    photos = torch.cat([through(truth, kernels[:1]), through(truth, kernels[1:])])
+    alone = latent_of(photos, kernels, exposures=1)
+    shared = latent_of(photos, kernels, exposures=2)
+    errors = (alone - truth).square().mean((1, 2))
+    assert float((shared - truth).square().mean()) < 0.5 * float(errors.min())
+
+
 @pytest.mark.parametrize("shape", [(2, 24, 30), (1, 7, 9)])
 def test_divergence_of_the_strong_gradients_is_that_of_rolled_photos(shape):
     photos = torch.rand(shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
