@@ -19,10 +19,8 @@ from cep.search.sampling import draw
 from hw.device import DeviceProfile
 from motdiff.crops import luminance
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.coded.path_measure import explaining_paths
-from motdiff.estimators.coded.starts import orders, with_knots
+from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import rms_distance_px
-from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -33,7 +31,6 @@ SURE = 0.95
 
 _KNOTS = 53
 _MOST_ORDERS = 40
-_DRAWN_PATHS = 120  # of those that explain the open photo
 _ALIKE_PX = 2.0  # orders nearer than this, rms, do no harm
 _TOLD = 400.0  # chi-square beyond which photos taken rule an order out, errors of the model too
 _DRAWN = 64  # random codes to begin with
@@ -144,7 +141,7 @@ def next_code(
     limits, profile = allowed_limits(chips, chip_ns, device)
     scene = SceneLight.of(luminance(photos[0]), estimate.best)
     photo_codes = [code.array for code in timed] or [np.ones(chips)]
-    paths = with_other_paths(open_orders(estimate.trajectories), estimate.best, rng=rng)
+    paths = open_orders(estimate.trajectories)
     contrast = OrderContrast(paths, photo_codes, chips=chips, scene=scene)
     surviving = survivors(contrast, len(estimate.trajectories))
     if len(surviving) < len(paths):
@@ -178,36 +175,15 @@ def open_orders(paths: Sequence[Trajectory]) -> FloatArray:
     The paths themselves come first, then the orders of the first one, of the second, and so on.
     """
     listed = [orders(path, knots=_KNOTS, count=_MOST_ORDERS) for path in paths]
-    candidates = [order[0] for order in listed] + [o for order in listed for o in order[1:]]
-    distinct = _distinct(candidates, limit=_MOST_ORDERS)
-    if len(distinct) == 1:  # shorter than that: its reverse is the one question left
-        distinct = np.concatenate([distinct, distinct[:, ::-1]])
-    return distinct
-
-
-def with_other_paths(
-    listed: FloatArray, path: Trajectory, *, rng: np.random.Generator
-) -> FloatArray:
-    """Orders (N, K, 2), and after them other paths in time that share a path's PSF, 80 in all.
-
-    A tangled PSF can be run through in many more ways than by turning round the loops of a path.
-    """
-    kernel = path.psf(path.frame_size(PSF_PX))
-    alternatives = explaining_paths(kernel, starts=listed, count=_DRAWN_PATHS, rng=rng)
-    distinct = _distinct([*listed, *with_knots(alternatives, _KNOTS)], limit=2 * _MOST_ORDERS)
-    # of a motion shorter than what counts as apart its two directions are left
-    return distinct if len(distinct) > 1 else listed
-
-
-def _distinct(paths: Sequence[FloatArray], *, limit: int) -> FloatArray:
-    """Paths (N, K, 2), centred, none within 2 px rms of one before it."""
     distinct: list[FloatArray] = []
-    for path in paths:
+    for path in [order[0] for order in listed] + [o for order in listed for o in order[1:]]:
         centred = path - path.mean(axis=0)
         if all(rms_distance_px(centred, chosen_path) > _ALIKE_PX for chosen_path in distinct):
             distinct.append(centred)
-        if len(distinct) == limit:
+        if len(distinct) == _MOST_ORDERS:
             break
+    if len(distinct) == 1:  # shorter than that: its reverse is the one question left
+        distinct.append(distinct[0][::-1])
     return np.stack(distinct)
 
 

@@ -27,10 +27,10 @@ _FIT_SHARE = 0.55  # the search of the path
 # (docs/decisions/motion-estimation.md): of one photo; of two and of more, where two searches ended
 # at it and the next path is dearer (of more photos: or much dearer), where they ended at it, else
 _ONE_PHOTO = 0.05
-_SHARES_OF_TWO = (0.9, 0.8, 0.6)
+_SHARES_OF_TWO = (0.95, 0.8, 0.4)
 _SHARES_OF_MORE = (0.95, 0.8, 0.25)
 _ERROR_RATIO = 2.8  # of true to computed error
-_DEARER = 100.0  # of the next path's cost
+_DEARER = 60.0  # of the next path's cost
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _KERNELS_ALONE = 0.3
 _ALMOST_EQUAL = 1e-3  # of two costs: keeps the alternatives' shares finite
@@ -40,11 +40,12 @@ _LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 class CodedEstimator:
     """Find the motion, with its order and direction in time, of photos taken through known codes.
 
-    The kernel of each photo is searched on its own. Paths decoded from them, orders of the traced
-    path and random walks are fitted to the kernels, crossed with each other, and fitted to the
-    photos themselves where these show one scene: one photo blurred by the PSF of another must
-    equal the other blurred by the first's. The photos are searched without the kernels too, until
-    two searches agree; of three and more only where the kernels' path is not clear.
+    The kernels are searched, in photos of one scene together. Paths decoded from them, orders of
+    the traced path and random walks are fitted to the kernels, crossed with each other, and fitted
+    to the photos themselves where these show one scene: one photo blurred by the PSF of another
+    must equal the other blurred by the first's. The photos are searched without the kernels too,
+    until two searches agree; of three and more only where the kernels' path is not clear. The
+    photos alone decide which path is best.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of
     which it was, with as many photos, searches that agree, and a next path so much dearer.
@@ -57,7 +58,7 @@ class CodedEstimator:
     codes : sequence of str
         Bits of each photo's code, in the order of the photos; "1" throughout for an open shutter.
     kernels : Estimator, optional
-        Estimator of each photo's kernel; PMP when omitted.
+        Estimator of each photo's kernel on its own; when omitted they are searched together.
     seed : int
         Of the random starts.
     progress : callable, optional

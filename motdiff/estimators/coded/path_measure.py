@@ -3,71 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from motdiff.estimators.coded.codes import middles, open_at
-from motdiff.estimators.coded.exposures import BLIND_WEIGHT, Exposures
-from motdiff.estimators.coded.fit import PhotoFit
-from motdiff.estimators.coded.starts import draw_index, light_on_first, with_knots
+from motdiff.estimators.coded.starts import draw_index, light_on_first
 from motdiff.path_psfs import interpolated
 from motdiff.types import FloatArray
 
 _BLUR_PX = 0.7  # the path moves on whole pixels, kernels estimated apart do not match to one
 _FAINT = 0.03  # of the peak: where the path may be, and a pixel around it
 _LONGEST_STEP_PX = 3
+_STEPS = 52  # of a path that every code leaves open throughout
 # of a step against the one before; a few turn sharply
 _TURN_PX = 0.9
 _SHARP_TURN_PX = 2.0
 _SHARP_SHARE = 0.02
-_ITERATIONS = 300
+_ITERATIONS = 150
 _RATE = 0.3  # of a multiplier's ascent; a path stays on a pixel for several steps
 _SHORTER = 0.9
 _FLOOR = 2e-3  # of the brightest: light below it is not matched
 _SPREAD_PX = 1.0  # of the light of a path that is not right to a pixel
 _SMOOTHED_STEPS = 1.0  # sigma: paths on whole pixels are jagged
 _LEAST_LOG = -16.0  # a pixel is never quite forbidden
-
-# paths that explain one kernel
-_KNOTS = 27
-_DESCENTS_PX = (2.5, 1.2)  # Gaussians of the fits, one after the other
-_DESCENT_STEPS = 7
-_COST_FACTOR = 3.0  # paths of at most so many times the least cost, and a little more
-_COST_ALLOWED = 2.0
-
-
-def explaining_paths(
-    kernel: FloatArray, *, starts: FloatArray, count: int, rng: np.random.Generator
-) -> FloatArray:
-    """Paths through an open shutter that explain a kernel about as well as any, best first.
-
-    Drawn from :class:`PathMeasure`, and fitted to the kernel like ``starts``.
-
-    Parameters
-    ----------
-    kernel : (S, S) float
-    starts : (M, K, 2) float, px
-        More paths to begin with.
-    count : int
-        Of the paths drawn.
-
-    Returns
-    -------
-    (N, 27, 2) float, px
-    """
-    exposures = Exposures(("1",), (kernel,), np.array([BLIND_WEIGHT]), np.ones(1))
-    fit = PhotoFit(exposures, [], knots=_KNOTS)
-    samples = PathMeasure([kernel], ["1"]).draw(count, knots=_KNOTS, rng=rng)
-    x = fit.pack(np.concatenate([samples, with_knots(starts, _KNOTS)]))
-    for sigma_px in _DESCENTS_PX:
-        x, costs = fit.best(
-            [fit.kernels(sigma_px), fit.loose], x, steps=_DESCENT_STEPS, keep=len(x)
-        )
-    paths = fit.paths(x)
-    return paths[costs.numpy() <= _COST_FACTOR * float(costs[0]) + _COST_ALLOWED]
 
 
 class PathMeasure:
@@ -86,8 +46,6 @@ class PathMeasure:
         Of the exposures; the first is that of the code with the most light.
     codes : sequence of I str
         Bits; all but those open throughout of one length.
-    steps : int
-        Time steps of a path where every code is open throughout.
 
     References
     ----------
@@ -96,9 +54,7 @@ class PathMeasure:
     scaling for log-linear models", Annals of Mathematical Statistics 43(5), 1972 (the ascent).
     """
 
-    def __init__(
-        self, kernels: Sequence[FloatArray], codes: Sequence[str], *, steps: int = 52
-    ) -> None:
+    def __init__(self, kernels: Sequence[FloatArray], codes: Sequence[str]) -> None:
         lights = light_on_first(kernels, codes, blur_px=_BLUR_PX)
         self._support = ndimage.binary_dilation(lights[0] > _FAINT * lights[0].max())
         rows, columns = np.nonzero(self._support)
@@ -106,10 +62,11 @@ class PathMeasure:
         self._before, self._after = _neighbours(self._support)
         self._turns = _turns()
         lengths = [len(code) for code in codes if "0" in code]
-        bits = open_at(codes, middles(max(lengths, default=steps)))
+        bits = open_at(codes, middles(max(lengths, default=_STEPS)))
         light = lights[:, self._support] / lights[0, self._support].sum()
         self._centroid = light[0] @ self._points
         self._times, self._targets = _told(bits, light)
+        self._weights = self._fitted_weights()
 
     def draw(self, count: int, *, knots: int, rng: np.random.Generator) -> FloatArray:
         """Draw paths (count, knots, 2), px, at times spaced evenly over the exposure."""
@@ -182,8 +139,7 @@ class PathMeasure:
     def _floor(self) -> float:
         return _FLOOR * float(self._targets.max())
 
-    @cached_property
-    def _weights(self) -> FloatArray:
+    def _fitted_weights(self) -> FloatArray:
         """Weight (T, P) of a pixel at each time, by the multipliers."""
         target = self._targets
         rate = _RATE

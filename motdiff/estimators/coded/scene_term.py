@@ -17,19 +17,19 @@ from motdiff.estimators.coded.misfit import Unknowns
 from motdiff.estimators.coded.otfs import CodedOtfs, GridOtfs
 from motdiff.types import FloatArray
 
-_SIDE_STEP_PX = 6  # photos are cut to sides that the three grids divide
+_SIDE_STEP_PX = 6  # photos are cut to sides that the grids divide
 _LARGEST_SIDE_PX = 252
 _SLOW_PX = 8.0  # slower differences of light (lamps, vignetting) are taken away
 # beyond it, in the corners of the spectrum, a blurred photo has nothing but noise
 _ONLY_NOISE_CY_PX = 0.5
 # floors of |H|^2 and |H_a H_b|, for frequencies that no photo holds
-_LEAST_LIGHT = 1e-4
+_LEAST_LIGHT = 1e-6
 _LEAST_PRODUCT = 0.02
 _LEAST_NOISE = 1e-3  # of full scale: 8 bits round by that, and files that were smoothed show less
 _AT_ONCE = 8  # candidates, as many as fit the cache
 _SLOWEST_CY_PX = 1 / 64  # slower light is taken away
 # the curvature is summed over so many frequencies, drawn once, for each value that a step changes
-_FREQUENCIES_PER_UNKNOWN = 16
+_FREQUENCIES_PER_UNKNOWN = 12
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class SceneSpectra:
 
 
 def scene_side_px(shape: tuple[int, ...]) -> int:
-    """Side of the square of a photo (H, W) whose spectra are taken: the three grids divide it."""
+    """Side of the square of a photo (H, W) whose spectra are taken: the grids divide it."""
     return min(_LARGEST_SIDE_PX, *(n // _SIDE_STEP_PX * _SIDE_STEP_PX for n in shape))
 
 

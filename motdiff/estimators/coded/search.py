@@ -171,11 +171,11 @@ class _Search(PhotoFit):
         return self._ended(self.registered(self.pack(paths)))
 
     def _ended(self, x: Tensor) -> list[CandidatePath]:
-        finest: list[Term] = [self.scenes[2], self.sharpest, self.stiff]
-        x, _ = self.best(finest, x, steps=3, keep=4)
-        x, costs = self.best(finest, x, steps=12, keep=len(x))
+        # not the kernels: a wrong one stands against the right path
+        x, _ = self.best(self.nearly, x, steps=6, keep=4)
+        x, costs = self.best(self.finest, x, steps=25, keep=len(x))
         self.spend(0.15)
-        return self._described(finest, x, costs)
+        return self._described(self.finest, x, costs)
 
     def _decoded(self, count: int, shifts: FloatArray | None = None) -> FloatArray:
         return decoded_paths(

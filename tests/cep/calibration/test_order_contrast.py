@@ -11,7 +11,6 @@ from cep.calibration.next_code import (
     open_orders,
     search_next,
     survivors,
-    with_other_paths,
 )
 from cep.calibration.order_contrast import OrderContrast, SceneLight
 from cep.files.code_files import read_code, stored_device
@@ -21,7 +20,6 @@ from cep.search.limits import Limits, RunLimits
 from hw.device import load_profile
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.starts import orders
-from motdiff.metrics import mnc
 from motdiff.trajectory import Trajectory
 
 CHIPS = 8
@@ -84,18 +82,6 @@ def test_more_light_over_the_noise_tells_more_and_a_third_photo_adds():
     assert np.all(three > two.taken())
 
 
-def test_other_paths_share_the_psf_and_differ_in_time():
-    path = Trajectory.from_samples(LOOP)
-    listed = open_orders([path])
-    paths = with_other_paths(listed, path, rng=np.random.default_rng(0))
-    assert len(paths) > len(listed)
-    psf = path.psf(65)
-    for other in paths:
-        assert mnc(Trajectory.from_samples(other).psf(65), psf) > 0.7
-    for a, b in itertools.combinations(paths, 2):
-        assert np.sqrt(((a - b) ** 2).sum(axis=1).mean()) > 2.0
-
-
 @pytest.mark.parametrize("runs", [RunLimits(), RunLimits(min_open=2)])
 def test_the_search_agrees_with_all_codes(runs):
     limits = Limits(CHIPS, (1, CHIPS), runs)
@@ -109,11 +95,13 @@ def test_the_search_agrees_with_all_codes(runs):
 
 
 def test_survivors_are_what_the_photos_leave_open():
-    paths = open_orders([Trajectory.from_samples(LOOP)])
+    angle = 4 * np.pi * TIMES
+    curls = np.stack([30 * TIMES - 8 * np.sin(angle), 8 * np.cos(angle)], axis=1)
+    paths = open_orders([Trajectory.from_samples(curls)])
     by_open = OrderContrast(paths, [OPEN], chips=CHIPS)
-    assert len(survivors(by_open, 1)) == len(paths)
+    assert len(survivors(by_open, 1)) == len(paths) > 2
     by_two = OrderContrast(paths, [OPEN, [1, 1, 1, 1, 0, 0, 0, 0]], chips=CHIPS)
-    assert 2 <= len(survivors(by_two, 1)) <= len(paths)
+    assert 2 <= len(survivors(by_two, 1)) < len(paths)
 
 
 def test_the_next_code_can_be_played_and_comes_back_from_its_file(tmp_path):

@@ -4,10 +4,12 @@ can tell."""
 import numpy as np
 import pytest
 import torch
+from scipy import special
 
 from motdiff.estimators.coded.misfit import (
     KernelTerm,
     Roughness,
+    SmoothMotion,
     Unknowns,
     descend,
 )
@@ -251,6 +253,33 @@ def test_roughness_hardly_depends_on_the_number_of_knots() -> None:
     assert cost(105) == pytest.approx(cost(53), rel=0.08)
 
 
+def test_smooth_motions_have_second_differences_of_an_unknown_variance() -> None:
+    """The oracle integrates their normal density over ``p(v) ~ exp(-n s^2 / 2 v) / v``."""
+    knots, least_px = 53, 0.04
+    unknowns = Unknowns(knots, 1)
+    count = 2 * (knots - 2)
+    noise = np.random.default_rng(0).standard_normal((knots, 2))
+
+    def cost(path: np.ndarray) -> float:
+        packed = unknowns.pack(
+            torch.tensor(path[None], dtype=torch.float32),
+            torch.ones(1, 1),
+            torch.zeros(1, 1, 2),
+        )
+        return float(SmoothMotion(unknowns).cost(packed))
+
+    def minus_twice_log_density(path: np.ndarray) -> float:
+        squares = float((np.diff(path, n=2, axis=0) ** 2).sum())
+        log_v = np.linspace(-20, 10, 200_001)
+        exponent = -0.5 * count * log_v - 0.5 * (squares + count * least_px**2) / np.exp(log_v)
+        return -2 * float(special.logsumexp(exponent))
+
+    smooth, rough = 0.01 * noise, 0.5 * noise
+    assert cost(rough) - cost(smooth) == pytest.approx(
+        minus_twice_log_density(rough) - minus_twice_log_density(smooth), rel=1e-3
+    )
+
+
 # -- derivatives and descent ----------------------------------------------------------------------
 
 
@@ -261,11 +290,20 @@ def all_terms(taken) -> dict[str, object]:
         "kernels": kernel_term(taken, sigma_px=2.5),
         "kernels, saturated": kernel_term(taken, saturation=20.0),
         "roughness": Roughness(UNKNOWNS, 0.3),
+        "smooth motion": SmoothMotion(UNKNOWNS),
     }
 
 
 @pytest.mark.parametrize(
-    "name", ["scene, fine", "scene, coarse", "kernels", "kernels, saturated", "roughness"]
+    "name",
+    [
+        "scene, fine",
+        "scene, coarse",
+        "kernels",
+        "kernels, saturated",
+        "roughness",
+        "smooth motion",
+    ],
 )
 def test_the_slope_is_half_the_derivative_of_the_cost(noisy, name: str) -> None:
     term = all_terms(noisy)[name]
@@ -321,7 +359,13 @@ def test_a_second_call_adds(noisy) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [("kernels",), ("kernels, saturated", "roughness"), ("scene, coarse", "roughness")]
+    "names",
+    [
+        ("kernels",),
+        ("kernels, saturated", "roughness"),
+        ("scene, coarse", "roughness"),
+        ("scene, coarse", "smooth motion"),
+    ],
 )
 def test_descent_never_raises_the_cost(noisy, names: tuple[str, ...]) -> None:
     terms = [all_terms(noisy)[name] for name in names]
