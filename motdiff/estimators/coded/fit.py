@@ -25,12 +25,10 @@ from motdiff.types import FloatArray
 
 KNOTS = 53
 """Of a path that is fitted finely."""
-# Stages of a fit beside photos, coarse to fine: grid, error of the path that is allowed for, and
-# roughness. To 0.08 cycles/px photos tell a path so little that it would drift 1.6 px from the
-# true one, which no later stage mends: that first stage is stiff, and for starts that lie far
-# away. The last error is that of straight pieces between knots.
-_STAGES = ((0, 1.0, 300.0), (1, 0.3, 30.0), (2, 0.3, 30.0), (2, 0.04, 30.0))
-_LOOSE = 0.3  # roughness beside kernels
+# allowed on the three grids; the last is the error of straight pieces between knots
+_PATH_ERRORS_PX = (1.0, 0.3, 0.04)
+_LOOSE = 0.3  # roughness beside kernels, beside photos: second differences of 0.2 px
+_STIFF = 30.0
 _SATURATION = 60.0  # a fifth of what a sure kernel costs that is off by all of itself
 
 
@@ -45,11 +43,13 @@ class PhotoFit:
     Attributes
     ----------
     scenes : list of SceneTerm
-        Of four stages, coarse to fine; empty where only kernels are compared.
-    loose : Roughness
-        Beside kernels.
-    roughness : list of Roughness
-        Of the four stages.
+        On three grids, coarse to fine; empty where only kernels are compared.
+    loose, stiff : Roughness
+        Beside kernels and coarse grids, and beside the photos.
+    nearly : list of Term
+        The photos on the finest grid, for a path that is off by some 0.3 px.
+    finest : list of Term
+        By which paths are judged: the photos on the finest grid, and their smoothness.
     """
 
     def __init__(
@@ -59,23 +59,28 @@ class PhotoFit:
         self.knots = knots
         self.unknowns = Unknowns(knots, len(exposures.codes))
         self.loose = Roughness(self.unknowns, _LOOSE)
+        self.stiff = Roughness(self.unknowns, _STIFF)
         self._otfs = CodedOtfs(exposures.codes, knots)
         self._centroids = torch.tensor(
             np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]),
             dtype=torch.float32,
         )
         self.scenes = [
-            SceneTerm(self.unknowns, self._otfs, spectra[grid], path_error_px=error_px)
-            for grid, error_px, _ in (_STAGES if spectra else ())
+            SceneTerm(self.unknowns, self._otfs, on_grid, path_error_px=error_px)
+            for on_grid, error_px in zip(spectra, _PATH_ERRORS_PX, strict=False)
         ]
-        self.roughness: list[Term] = [
-            Roughness(self.unknowns, weight) for _, _, weight in _STAGES[:-1]
+        self.nearly: list[Term] = [
+            *(
+                SceneTerm(self.unknowns, self._otfs, on_grid, path_error_px=_PATH_ERRORS_PX[1])
+                for on_grid in spectra[-1:]
+            ),
+            self.stiff,
         ]
-        self.roughness.append(SmoothMotion(self.unknowns))
+        self.finest: list[Term] = [*self.scenes[-1:], SmoothMotion(self.unknowns)]
 
-    def beside_photos(self, stage: int) -> list[Term]:
-        """Terms of the photos alone, of one of the four stages."""
-        return [self.scenes[stage], self.roughness[stage]]
+    def beside_photos(self, grid: int) -> list[Term]:
+        """Terms of the photos alone on one of the three grids; the coarsest leaves paths loose."""
+        return [self.scenes[grid], self.loose if grid == 0 else self.stiff]
 
     def kernels(self, sigma_px: float, *, saturated: bool = False) -> KernelTerm:
         """Term of the kernels through a Gaussian; saturated, a wrong kernel costs little."""
@@ -97,7 +102,7 @@ class PhotoFit:
 
     def registered(self, x: Tensor) -> Tensor:
         """Candidates with the photos' shifts by correlation, where these are of one scene."""
-        return self.scenes[1].registered(x) if self.scenes else x
+        return self.scenes[0].registered(x) if self.scenes else x
 
     def misfit(self, x: Tensor) -> float:
         """Misfit by a candidate (1, N), as a multiple of the noise; NaN without a scene."""

@@ -157,7 +157,7 @@ class _RefiningFit(PhotoFit):
         x = self.registered(self.pack(np.stack([_knots(path) for path in paths])))
         terms: list[Term] = [self.kernels(1.5), self.loose]
         if self.scenes:
-            terms = [self.scenes[1], self.sharpest, self.loose]
+            terms = [self.scenes[0], self.sharpest, self.loose]
         _, costs = descend(terms, x, steps=4)
         return [paths[i] for i in torch.argsort(costs)[:_MOST_ORDERS].tolist()]
 
@@ -188,7 +188,7 @@ class _RefiningFit(PhotoFit):
     def _descended(self, x: Tensor, prior: Term) -> Tensor:
         if not self.scenes:
             return descend([self.sharpest, prior], x, steps=20)[0]
-        for term, steps in zip(self.scenes[1:], (6, 6, 12), strict=True):
+        for term, steps in zip(self.scenes, (6, 6, 12), strict=True):
             x, _ = descend([term, self.sharpest, prior], x, steps=steps)
         return x
 
@@ -197,7 +197,7 @@ class _RefiningFit(PhotoFit):
         fixed = _path_prior(
             self.unknowns, self.unknowns.paths(x)[0].numpy(), _FIXED_PX, rough_px=_FIXED_PX
         )
-        for term in self.scenes[1:]:
+        for term in self.scenes:
             x, _ = descend([term, fixed], x, steps=4)
         return self.misfit(x)
 
