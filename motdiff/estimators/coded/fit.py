@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -46,10 +47,6 @@ class PhotoFit:
         On three grids, coarse to fine; empty where only kernels are compared.
     loose, stiff : Roughness
         Beside kernels and coarse grids, and beside the photos.
-    nearly : list of Term
-        The photos on the finest grid, for a path that is off by some 0.3 px.
-    finest : list of Term
-        By which paths are judged: the photos on the finest grid, and their smoothness.
     """
 
     def __init__(
@@ -69,14 +66,22 @@ class PhotoFit:
             SceneTerm(self.unknowns, self._otfs, on_grid, path_error_px=error_px)
             for on_grid, error_px in zip(spectra, _PATH_ERRORS_PX, strict=False)
         ]
-        self.nearly: list[Term] = [
-            *(
-                SceneTerm(self.unknowns, self._otfs, on_grid, path_error_px=_PATH_ERRORS_PX[1])
-                for on_grid in spectra[-1:]
-            ),
-            self.stiff,
-        ]
-        self.finest: list[Term] = [*self.scenes[-1:], SmoothMotion(self.unknowns)]
+
+    @cached_property
+    def nearly(self) -> list[Term]:
+        """The photos on the finest grid, for a path that is off by some 0.3 px."""
+        scene = SceneTerm(
+            self.unknowns,
+            self._otfs,
+            self.scenes[-1].spectra,
+            path_error_px=_PATH_ERRORS_PX[1],
+        )
+        return [scene, self.stiff]
+
+    @cached_property
+    def finest(self) -> list[Term]:
+        """By which paths are judged: the photos on the finest grid, and their smoothness."""
+        return [self.scenes[-1], SmoothMotion(self.unknowns)]
 
     def beside_photos(self, grid: int) -> list[Term]:
         """Terms of the photos alone on one of the three grids; the coarsest leaves paths loose."""

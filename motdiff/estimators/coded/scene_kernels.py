@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
-import torch
 from scipy import fft, signal
 
-from motdiff.blind_search.coarse_to_fine import PmpSettings, Start, estimate_kernels
 from motdiff.crops import best_windows
 from motdiff.estimators.kernel_score import rank_kernels
-from motdiff.estimators.pmp.estimator import STARTS
+from motdiff.estimators.pmp.estimator import STARTS, searched_kernels
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX, in_frame
@@ -56,7 +53,14 @@ def kernels_of_one_scene(
     piece = cost / len(STARTS)
     searches = side_by_side(
         [
-            partial(_search, crops, start, float(np.median(sigmas)), progress.piece(piece))
+            partial(
+                searched_kernels,
+                crops[:, None],
+                start,
+                sigma=float(np.median(sigmas)),
+                one_scene=True,
+                on_progress=progress.piece(piece),
+            )
             for start in STARTS
         ]
     )
@@ -66,22 +70,6 @@ def kernels_of_one_scene(
         for crop, kernel in zip(crops, kernels, strict=True)
     ]
     return tuple(in_frame(kernel, PSF_PX) for kernel in kernels), tuple(confidences)
-
-
-def _search(
-    crops: FloatArray, start: Start, sigma: float, on_progress: Callable[[float], None]
-) -> FloatArray:
-    """Kernels (I, k, k) of crops (I, H, W)."""
-    rotated = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
-    size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
-    kernels = estimate_kernels(
-        torch.from_numpy(np.ascontiguousarray(rotated))[:, None],
-        replace(start, size=size),
-        settings=PmpSettings(sigma),
-        one_scene=True,
-        on_progress=on_progress,
-    )
-    return np.rot90(kernels.numpy(), -start.quarter_turns, axes=(1, 2)).astype(np.float64)
 
 
 def _cross_misfit(crops: FloatArray, kernels: FloatArray, sigmas: FloatArray) -> float:

@@ -138,18 +138,40 @@ class PmpEstimator(BlindEstimator):
     def _run(
         self, crops: FloatArray, start: Start, *, on_progress: Callable[[float], None]
     ) -> FloatArray:
-        rotated = np.rot90(crops, start.quarter_turns, axes=(1, 2)).astype(np.float32)
-        batch = torch.from_numpy(np.ascontiguousarray(rotated))[None]
-        # odd, and smaller than the photo
-        size = min(start.size, (min(crops.shape[1:]) // 2) * 2 - 1)
-        kernels = estimate_kernels(
-            batch,
-            replace(start, size=size),
-            settings=PmpSettings(shared_sigma(crops)),
-            on_progress=on_progress,
-        )
-        kernel = np.rot90(kernels[0].numpy(), -start.quarter_turns)
-        return np.ascontiguousarray(kernel, dtype=np.float64)
+        kernel: FloatArray = searched_kernels(
+            crops[None], start, sigma=shared_sigma(crops), on_progress=on_progress
+        )[0]
+        return kernel
+
+
+def searched_kernels(
+    photos: FloatArray,
+    start: Start,
+    *,
+    sigma: float,
+    one_scene: bool = False,
+    on_progress: Callable[[float], None],
+) -> FloatArray:
+    """Search the kernels (B, k, k) of photos (B, C, H, W) from a start, turned as it says.
+
+    Parameters
+    ----------
+    sigma, one_scene, on_progress
+        As of :func:`motdiff.blind_search.coarse_to_fine.estimate_kernels`, in its settings or
+        beside them.
+    """
+    rotated = np.rot90(photos, start.quarter_turns, axes=(2, 3)).astype(np.float32)
+    # odd, and smaller than the photo
+    size = min(start.size, (min(photos.shape[2:]) // 2) * 2 - 1)
+    kernels = estimate_kernels(
+        torch.from_numpy(np.ascontiguousarray(rotated)),
+        replace(start, size=size),
+        settings=PmpSettings(sigma),
+        one_scene=one_scene,
+        on_progress=on_progress,
+    )
+    kernel = np.rot90(kernels.numpy(), -start.quarter_turns, axes=(1, 2))
+    return np.ascontiguousarray(kernel, dtype=np.float64)
 
 
 def planned(starts: int) -> float:
