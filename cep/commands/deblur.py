@@ -225,8 +225,8 @@ def _restored(
     from cep.files.psf_files import load_psf
     from cep.files.raw_files import RAW_SUFFIXES
     from cep.optics.path_limits import check_resolved
+    from cep.restoration.choice import looks_linear
     from cep.restoration.restore import restore
-    from cep.restoration.sharpen import looks_linear
 
     code = codes[0] if codes else None
     inputs: dict[str, Any] = {}

@@ -94,7 +94,7 @@ METHODS: dict[str, Method] = {
 }
 
 AUTO_ABOUT = "pnp for a coded photo along its motion, and where the motion fits the photo, else tv"
-"""What ``auto`` is, for the help page: :func:`cep.restoration.sharpen.choose_method`."""
+"""What ``auto`` is, for the help page: :func:`cep.restoration.choice.choose_method`."""
 
 
 def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[..., Any]]:

@@ -14,17 +14,12 @@ from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.blur import channels_first, trimmed_psf
+from cep.restoration.choice import choose_method, is_possible_light, restore_with_estimate
 from cep.restoration.clipping import clipped_warnings, fill_clipped
 from cep.restoration.direction import detect_direction
 from cep.restoration.registry import find_method, registered_method
 from cep.restoration.result import Restoration, misfit
-from cep.restoration.sharpen import (
-    LEAST_CONFIDENCE,
-    choose_method,
-    is_possible_light,
-    restore_with_estimate,
-    sharpen,
-)
+from cep.restoration.sharpen import LEAST_CONFIDENCE, sharpen
 from motdiff.crops import clipped_mask, exposure_gain
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
@@ -75,7 +70,7 @@ def restore(
         Restoration. "auto" is "pnp" for a photo through a code whose motion is given, and where
         the photo shows that the motion fits, else "tv", which trusts the PSF less; a motion that
         is known in time has some credit. Of more than 16 megapixels, or 4 where the PSF is
-        estimated, it is "wiener", for the time: :func:`cep.restoration.sharpen.choose_method`.
+        estimated, it is "wiener", for the time: :func:`cep.restoration.choice.choose_method`.
         Where nothing but the photo is given see :func:`cep.restoration.sharpen.sharpen`.
     anyway : bool
         Of a photo alone: whether one that would be kept is restored all the same.
@@ -134,28 +129,18 @@ def restore(
     restoring(0.0)
     if trajectory is None:
         _check_reach("psf", len(kernel), channels)
-    reason = ""
-    by_evidence = False
-    if method == "auto":
+    is_coded = code is not None or kernel.sum() < _ALL_LIGHT
+    notes = []
+    if method == "auto" and (draft.psf_source == "photo" or not is_coded):
+        # a straight motion that was estimated looks like a known one: the photo shows how it fits
         gain = exposure_gain(photo)
         bright = np.asarray(photo) * gain
-        is_coded = code is not None or kernel.sum() < _ALL_LIGHT
-        # a straight motion that was estimated looks like a known one: the photo shows how it fits
-        by_evidence = draft.psf_source == "photo" or not is_coded
-        method, reason = choose_method(
+        label, reason = choose_method(
             bright,
             psf,
-            coded_motion=not by_evidence,
             trusted=trajectory is not None
             and (trajectory.direction == "known" or uniform_length_px(trajectory) is not None),
         )
-    label, apply = find_method(method)
-    entry = registered_method(apply)
-    # a user-defined function gets the photo as it is
-    fills = entry is not None and entry.fills_clipped
-    notes = [*draft.warnings, *_doubts(channels, kernel, draft.saturated_fraction, fills=fills)]
-    if by_evidence:
-        # it fills the clipped pixels itself
         image = restore_with_estimate(bright, psf, label, progress=restoring)
         if not is_possible_light(image, bright, psf):
             notes.append(
@@ -163,7 +148,15 @@ def restore(
                 " this photo well"
             )
         image = image / gain
+        fills = True
     else:
+        reason = ""
+        if method == "auto":
+            method, reason = choose_method(photo, psf, coded_motion=True)
+        label, apply = find_method(method)
+        entry = registered_method(apply)
+        # a user-defined function gets the photo as it is
+        fills = entry is not None and entry.fills_clipped
         light = fill_clipped(photo, psf) if fills else photo
         if entry is not None and entry.reports_progress:
             options["progress"] = restoring
@@ -176,7 +169,11 @@ def restore(
         method_reason=reason,
         residual=misfit(photo, image, psf),
         unreliable_px=len(kernel) // 2,
-        warnings=tuple(notes),
+        warnings=(
+            *draft.warnings,
+            *_doubts(channels, kernel, draft.saturated_fraction, fills=fills),
+            *notes,
+        ),
         seconds=time.perf_counter() - started,
     )
 

@@ -1,77 +1,38 @@
-"""Restoration of a photo with the better PSF of its motion estimate, or of none.
-
-Which one, and by which method, is tried on a crop, without the sharp photo. Two things give a
-wrong PSF away. It leaves a residual, however it is restored. And its ringing dips below black or
-rises above full scale, where there can be no light. A restoration with less sparse gradients than
-its photo is no better. The same evidence gives away that a file was read on the wrong curve.
-"""
+"""Restoration of a photo with the better PSF of its motion estimate, or of none."""
 
 from __future__ import annotations
-
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.restoration.blur import Blur, channels_first, channels_last, trimmed_psf
-from cep.restoration.clipping import FEW_CLIPPED, clipped_warnings, fill_clipped, lights_cut
-from cep.restoration.noise import fit_spectrum
-from cep.restoration.plug_and_play import pnp
+from cep.restoration.blur import trimmed_psf
+from cep.restoration.choice import (
+    LITTLE_IMPOSSIBLE,
+    MOST_IMPOSSIBLE,
+    choose_method,
+    choose_psf,
+    is_possible_light,
+    restore_with_estimate,
+)
+from cep.restoration.clipping import clipped_warnings
 from cep.restoration.result import Restoration, misfit
-from cep.restoration.tv import gradient_sparsity, tv
-from cep.restoration.wiener import wiener
-from motdiff.crops import clipped_mask, exposure_gain, luminance, pick_crops
+from motdiff.crops import clipped_mask, exposure_gain
 from motdiff.estimators.base import MotionEstimate
-from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.psf_frame import PSF_PX
-from motdiff.simulate import to_display
-from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
-
-LARGEST_ESTIMATED_PX = 4_000_000
-"""Photos of more pixels whose PSF is estimated are restored by the Wiener filter: others would
-take a minute."""
-
-LARGEST_PNP_PX = 16_000_000
-"""Photos of more pixels are restored by the Wiener filter: pnp would take minutes and 4 GB."""
 
 LEAST_CONFIDENCE = 0.5
 """Of a PSF that is more likely good than lost."""
 
-_CROP_PX = 384
-# in dB of PSNR that a factor of e in the residual, and a full scale of impossible light (rms),
-# cost on simulated photos
-_RESIDUAL_DB = 0.3
-_IMPOSSIBLE_DB = 88.0
-_NO_SPARSER = 0.95  # of the photo's own gradients
 # Below it a photo is kept. Up to the least confidence the restoration shows whether the blur is
 # right: of 42 simulated photos all seven that it lets pass were improved
 _HOPELESS = 1 / 3
-_MOST_IMPOSSIBLE = 0.15  # rms, of the photo's standard deviation
-_MOST_IMPOSSIBLE_BESIDE_LIGHTS = 0.075
-# an estimated PSF errs by more than the noise: factor of its variance for the Wiener filter
-_WRONG_PSF = 20.0
-# Residual of TV, in standard deviations of the noise, beyond which the PSF's error is what rings;
-# a PSF that is rather known than estimated gets more credit. On simulated photos:
-# docs/decisions/restoration.md
-_WRONG = 2.0
-_CREDIT_RESIDUAL = 1.25
-_CREDIT_IMPOSSIBLE = 2.0
-_LITTLE_IMPOSSIBLE = 0.05  # of the photo's standard deviation: more is ringing
-_WRONG_TV = 3.0  # factor of TV's weight
-_TV_WEIGHT = 1e-3  # the default weight, good up to this noise; above it grows as the noise's power
-_TV_SIGMA = 0.007
-# Logarithm of the ratio of what two readings of a file leave unexplained. On 27 simulated photos
-# along motions known to 0 to 0.5 px those in sRGB had 0.02 at most, and 20 linear ones more than
-# this: docs/decisions/restoration.md
-_CLEARLY = 0.15
 # mean advantage of the PSF found over that of the path traced through it:
 # docs/decisions/restoration.md
 _PRIOR_DB = {"photo": 0.6, "path in the photo": 0.0}
 _SOURCES = {"photo": "the blur kernel found in it", "path in the photo": "the path found in it"}
+_NO_SHARPER = "No restoration is sharper than the photo without ringing"
+_HALOS = "The restored photo would have dark and bright halos"
 
 
 def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False) -> Restoration:
@@ -87,77 +48,49 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False)
         have been kept. One that is smaller than its blur is kept.
     """
     pixels = np.asarray(photo)
-    clipped = float(clipped_mask(pixels).mean())
-    confidence = estimate.confidence
-    psf_confidence = estimate.details.get("psf_confidence")
-    if isinstance(psf_confidence, int | float):
-        confidence = float(psf_confidence)
-
-    def kept(reason: str) -> Restoration:
-        point = np.zeros((PSF_PX, PSF_PX))
-        point[PSF_PX // 2, PSF_PX // 2] = 1
-        return Restoration(
-            image=np.asarray(pixels, dtype=np.float64),
-            psf=point,
-            psf_confidence=confidence,
-            saturated_fraction=clipped,
-            warnings=estimate.psf_warnings,
-            summary=f"{reason}: the photo is kept as it is",
-        )
-
-    doubt = ""
-    if not estimate.details.get("motion_blur", True):
-        doubt = estimate.warnings[0]
-    elif confidence < _HOPELESS:
-        doubt = f"The blur could not be found with confidence ({confidence:.2f})"
+    doubt = _doubt_of_blur(estimate)
     if doubt and not anyway:
-        return kept(doubt)
-    path = estimate.best
-    psfs = {"photo": estimate.psf, "path in the photo": path.psf(path.frame_size(PSF_PX))}
-    small_enough = {
-        source: psf
-        for source, psf in psfs.items()
-        if 2 * len(trimmed_psf(psf)) <= min(pixels.shape[:2])
-    }
+        return _kept(pixels, estimate, doubt)
+    psfs = _psfs_within(min(pixels.shape[:2]), estimate)
     gain = exposure_gain(pixels)
     bright = pixels * gain
-    source, scores_db = choose_psf(bright, small_enough, prior_db=_PRIOR_DB)
+    source, scores_db = choose_psf(bright, psfs, prior_db=_PRIOR_DB)
     if source is None:
-        doubt = doubt or "No restoration is sharper than the photo without ringing"
-        if not (anyway and small_enough):
-            return kept(doubt)
-        source = max(small_enough, key=scores_db.__getitem__)
+        doubt = doubt or _NO_SHARPER
+        if not (anyway and psfs):
+            return _kept(pixels, estimate, doubt)
+        source = max(psfs, key=scores_db.__getitem__)
     psf = psfs[source]
+    confidence = _psf_confidence(estimate)
     method, _reason = choose_method(bright, psf)
     image = restore_with_estimate(bright, psf, method)
     # a doubtful blur must leave little of what a wrong one leaves
     is_doubtful = confidence < LEAST_CONFIDENCE
-    limit = _LITTLE_IMPOSSIBLE if is_doubtful else _MOST_IMPOSSIBLE
+    limit = LITTLE_IMPOSSIBLE if is_doubtful else MOST_IMPOSSIBLE
     if not is_possible_light(image, bright, psf, limit=limit):
-        if is_doubtful:
-            doubt = doubt or f"The blur could not be found with confidence ({confidence:.2f})"
-        doubt = doubt or "The restored photo would have dark and bright halos"
+        doubt = doubt or (_lost(confidence) if is_doubtful else _HALOS)
         if not anyway:
-            return kept(doubt)
+            return _kept(pixels, estimate, doubt)
+    image = image / gain
     notes = []
-    if is_doubtful and not doubt:
-        notes.append(
-            f"the blur found is doubtful (confidence {confidence:.2f}): compare the restored photo"
-            " with the one taken"
+    if doubt:
+        summary = f"{doubt}: the photo was restored anyway, with {_SOURCES[source]}, by {method}"
+    else:
+        summary = (
+            f"The photo was restored with {_SOURCES[source]} (confidence {confidence:.2f}), by"
+            f" {method}"
         )
+        if is_doubtful:
+            notes.append(
+                f"the blur found is doubtful (confidence {confidence:.2f}): compare the restored"
+                " photo with the one taken"
+            )
     if method == "wiener":
         notes.append(
             "the photo is large: it was restored by the Wiener filter, which is fast; --method tv"
             " takes longer"
         )
-    notes += clipped_warnings(clipped)
-    image = image / gain
-    summary = (
-        f"The photo was restored with {_SOURCES[source]} (confidence {confidence:.2f}), by"
-        f" {method}"
-    )
-    if doubt:
-        summary = f"{doubt}: the photo was restored anyway, with {_SOURCES[source]}, by {method}"
+    clipped = float(clipped_mask(pixels).mean())
     return Restoration(
         image=image,
         method=method,
@@ -167,244 +100,43 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False)
         residual=misfit(pixels, image, psf),
         unreliable_px=len(trimmed_psf(psf)) // 2,
         saturated_fraction=clipped,
-        warnings=(*estimate.psf_warnings, *notes),
+        warnings=(*estimate.psf_warnings, *notes, *clipped_warnings(clipped)),
         summary=summary,
     )
 
 
-def choose_psf(
-    photo: ArrayLike, psfs: Mapping[str, ArrayLike], *, prior_db: Mapping[str, float]
-) -> tuple[str | None, dict[str, float]]:
-    """Choose among PSFs by restorations of a textured crop of the photo.
-
-    Parameters
-    ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-    psfs : mapping from a name to a (S, S) array_like, sum 1
-    prior_db : mapping from a name to float
-        How much better one kind of PSF is than another where nothing else is known.
-
-    Returns
-    -------
-    name : str or None
-        Of the PSF; None where no restoration is sharper than the photo, by the sparsity of its
-        gradients.
-    scores_db : dict from name to float
-        Of each PSF; differences stand for expected differences of PSNR.
-    """
-    crop = _textured_crop(photo)
-    clipped = clipped_mask(crop)
-    sigma = max(noise_sigma(luminance(crop)), LEAST_SIGMA)
-    photo_sparsity = gradient_sparsity(luminance(crop)) or 1.0
-    scores = {}
-    sharper = []
-    for name, psf in psfs.items():
-        # each colour is filled by itself: where one is clipped the grey is not at full scale
-        filled = luminance(fill_clipped(crop, psf))
-        restored = tv(filled, psf, weight=_tv_weight(sigma))
-        residual = max(misfit(filled, restored, psf, clipped=clipped), sigma)
-        restored = lights_cut(restored, clipped, psf)
-        scores[name] = float(
-            prior_db[name]
-            - _RESIDUAL_DB * np.log(residual / sigma)
-            - _IMPOSSIBLE_DB * _impossible(restored)
-        )
-        if (gradient_sparsity(restored) or 1.0) < _NO_SPARSER * photo_sparsity:
-            sharper.append(name)
-    return max(sharper, key=scores.__getitem__, default=None), scores
+def _psf_confidence(estimate: MotionEstimate) -> float:
+    confidence = estimate.details.get("psf_confidence")
+    return float(confidence) if isinstance(confidence, int | float) else estimate.confidence
 
 
-class MethodChoice(NamedTuple):
-    """Method that suits a photo and its PSF, and the reason in a few words."""
-
-    method: str
-    reason: str
+def _lost(confidence: float) -> str:
+    return f"The blur could not be found with confidence ({confidence:.2f})"
 
 
-def choose_method(
-    photo: ArrayLike, psf: ArrayLike, *, coded_motion: bool = False, trusted: bool = False
-) -> MethodChoice:
-    """Choose the method of a photo for which none is named: what ``auto`` means.
-
-    Of a coded photo along its motion it is pnp. Of any other a textured crop is restored by TV
-    with a weight for its noise. A PSF that leaves much more than the noise, or impossible light,
-    is wrong: TV rings less. With any other pnp is the best. A large photo is restored by Wiener's
-    filter.
-
-    Parameters
-    ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-    psf : (S, S) array_like
-        Light-true.
-    coded_motion : bool
-        Whether the photo was taken through a code, along a motion that was given.
-    trusted : bool
-        Whether the PSF is rather known than estimated. The photo must then speak more clearly
-        against it.
-    """
-    size_px = channels_first(photo)[0].size
-    if coded_motion:
-        # ahead in every row of our tables with a known motion: docs/decisions/restoration.md
-        fits = trusted = True
-        reason = "the photo is coded"
-    else:
-        fits = _evidence(photo, psf).explains(trusted=trusted)
-        reason = "the motion fits the photo"
-    if fits and size_px <= (LARGEST_PNP_PX if trusted else LARGEST_ESTIMATED_PX):
-        return MethodChoice("pnp", reason)
-    if not fits and size_px <= LARGEST_ESTIMATED_PX:
-        return MethodChoice("tv", "the motion fits the photo badly")
-    return MethodChoice("wiener", "the photo is large")
+def _doubt_of_blur(estimate: MotionEstimate) -> str | None:
+    """Say why a photo is kept before a restoration is tried."""
+    if not estimate.details.get("motion_blur", True):
+        return estimate.warnings[0]
+    confidence = _psf_confidence(estimate)
+    return _lost(confidence) if confidence < _HOPELESS else None
 
 
-def restore_with_estimate(
-    photo: ArrayLike,
-    psf: ArrayLike,
-    method: str,
-    *,
-    progress: Callable[[float], None] = lambda _share: None,
-) -> FloatArray:
-    """Restore a whole photo by a method of :func:`choose_method`; the result is not clipped.
-
-    The PSF may be wrong: TV has a weight at which it then rings less.
-    """
-    channels = channels_first(fill_clipped(photo, psf))
-    if method == "pnp":
-        return pnp(channels_last(channels), psf, progress=progress)
-    if method == "tv":
-        # TV divides the photo by the light that came in, and its noise with it
-        sigma = noise_sigma(channels.mean(axis=0)) / float(np.sum(psf))
-        weight = _WRONG_TV * _tv_weight(sigma)
-        jobs = [partial(tv, channel, psf, weight=weight) for channel in channels]
-        return channels_last(np.stack(side_by_side(jobs)))
-    side = 2 * _CROP_PX
-    row, column = pick_crops(channels.mean(axis=0), size=side, count=1)[0]
-    jobs = []
-    for channel in channels:
-        # a crop's spectra stand for the photo's, and its border is a strip: seconds instead of
-        # minutes
-        crop = channel[row : row + side, column : column + side]
-        spectrum = fit_spectrum(crop, Blur(psf, crop.shape, "periodic"))
-        jobs.append(
-            partial(
-                wiener,
-                channel,
-                psf,
-                noise_variance=_WRONG_PSF * spectrum.noise,
-                scene_strength=spectrum.scene,
-                border_rounds=0,
-            )
-        )
-    return channels_last(np.stack(side_by_side(jobs)))
+def _psfs_within(side_px: int, estimate: MotionEstimate) -> dict[str, FloatArray]:
+    """PSFs by their source, without those that reach too far for a photo of this shorter side."""
+    path = estimate.best
+    psfs = {"photo": estimate.psf, "path in the photo": path.psf(path.frame_size(PSF_PX))}
+    return {source: psf for source, psf in psfs.items() if 2 * len(trimmed_psf(psf)) <= side_px}
 
 
-@dataclass(frozen=True)
-class _Evidence:
-    """What a PSF leaves of a crop: residual, impossible light, and noise, beside its contrast."""
-
-    residual: float
-    impossible: float
-    noise: float
-    contrast: float
-
-    def explains(self, *, trusted: bool) -> bool:
-        """Whether both are as little as a right PSF leaves; of one rather known, with credit."""
-        residual = self.residual / self.noise
-        impossible = self.impossible / self.contrast
-        if trusted:
-            residual /= _CREDIT_RESIDUAL
-            impossible /= _CREDIT_IMPOSSIBLE
-        return residual <= _WRONG and impossible <= _LITTLE_IMPOSSIBLE
-
-    @property
-    def unexplained(self) -> float:
-        """Both together, as a share of the contrast."""
-        return (self.residual + self.impossible) / self.contrast
-
-
-def looks_linear(photo: ArrayLike, psf: ArrayLike) -> bool:
-    """Whether a file that was read as sRGB fits its blur better if its code values are light.
-
-    Blur adds up light. Read on the wrong curve a photo is no blurred scene any more: its
-    restoration leaves more of a residual, and more impossible light.
-
-    Parameters
-    ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
-        As it was read.
-    psf : (S, S) array_like
-        Light-true.
-
-    Examples
-    --------
-    >>> from motdiff.simulate import blur_valid, to_linear
-    >>> scene = np.kron(np.random.default_rng(0).random((16, 16)), np.ones((10, 10)))
-    >>> kernel = np.pad(np.full((1, 9), 1 / 9), ((4, 4), (0, 0)))
-    >>> light = blur_valid(scene, kernel)
-    >>> looks_linear(light, kernel), looks_linear(to_linear(light), kernel)
-    (False, True)
-    """
-    as_light = _evidence(to_display(np.clip(photo, 0, 1)), psf)
-    as_read = _evidence(photo, psf)
-    # a wrong PSF fits neither
-    is_clear = as_read.unexplained > np.exp(_CLEARLY) * as_light.unexplained
-    return as_light.explains(trusted=True) and bool(is_clear)
-
-
-def _evidence(photo: ArrayLike, psf: ArrayLike) -> _Evidence:
-    crop = _textured_crop(photo)
-    clipped = clipped_mask(crop)
-    light = float(np.sum(psf))
-    filled = luminance(fill_clipped(crop, psf))
-    sigma = max(noise_sigma(filled), LEAST_SIGMA)
-    restored = tv(filled, psf, weight=_tv_weight(sigma / light))
-    return _Evidence(
-        residual=misfit(filled, restored, psf, clipped=clipped),
-        noise=sigma,
-        impossible=light * _impossible(lights_cut(restored, clipped, psf)),
-        contrast=max(float(np.std(filled)), LEAST_SIGMA),
+def _kept(photo: FloatArray, estimate: MotionEstimate, reason: str) -> Restoration:
+    point = np.zeros((PSF_PX, PSF_PX))
+    point[PSF_PX // 2, PSF_PX // 2] = 1
+    return Restoration(
+        image=np.asarray(photo, dtype=np.float64),
+        psf=point,
+        psf_confidence=_psf_confidence(estimate),
+        saturated_fraction=float(clipped_mask(photo).mean()),
+        warnings=estimate.psf_warnings,
+        summary=f"{reason}: the photo is kept as it is",
     )
-
-
-def _textured_crop(photo: ArrayLike) -> FloatArray:
-    """Crop of a photo with most texture, in its colours."""
-    grey = luminance(photo)
-    side = min(_CROP_PX, *grey.shape)
-    row, column = pick_crops(grey, size=side, count=1)[0]
-    return np.ascontiguousarray(
-        np.asarray(photo, dtype=np.float64)[row : row + side, column : column + side]
-    )
-
-
-def is_possible_light(
-    restored: ArrayLike, photo: ArrayLike, psf: ArrayLike, *, limit: float = _MOST_IMPOSSIBLE
-) -> bool:
-    """Whether a restoration stays within 0..1, but for a small share of the contrast of its photo.
-
-    Lights that clipped the photo may be brighter than 1. Their ringing shows only where it is
-    dark, so less is allowed.
-
-    Parameters
-    ----------
-    restored, photo : (H, W) or (H, W, 3) array_like, linear light
-    psf : (S, S) array_like
-        What it was restored with.
-    limit : float
-        That share, rms, of the photo's standard deviation.
-    """
-    clipped = clipped_mask(photo)
-    if clipped.mean() > FEW_CLIPPED:
-        limit = min(limit, _MOST_IMPOSSIBLE_BESIDE_LIGHTS)
-    # of the grey: deep colours have hardly any light in one channel, and its ringing is not seen
-    contrast = float(np.std(luminance(photo)))
-    grey = luminance(lights_cut(np.asarray(restored, dtype=np.float64), clipped, psf))
-    return _impossible(grey) <= limit * contrast
-
-
-def _impossible(restored: FloatArray) -> float:
-    """RMS of the light below 0 and above 1."""
-    return float(np.sqrt(np.mean((restored - np.clip(restored, 0, 1)) ** 2)))
-
-
-def _tv_weight(sigma: float) -> float:
-    return float(_TV_WEIGHT * max(1.0, sigma / _TV_SIGMA) ** 2)

@@ -19,11 +19,11 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import shifted_psf
 from cep.restoration.blur import channels_first, trimmed_psfs
+from cep.restoration.choice import LARGEST_PNP_PX
 from cep.restoration.clipping import clipped_warnings, fill_clipped
 from cep.restoration.direction import DIRECTIONS, LARGEST_CROP_PX, Direction, orders_in_time
 from cep.restoration.plug_and_play import pnp_together
 from cep.restoration.result import Restoration, misfit
-from cep.restoration.sharpen import LARGEST_PNP_PX
 from motdiff.crops import centre_crop, clipped_mask, luminance
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.psf_frame import in_frame

@@ -20,8 +20,8 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
+from cep.restoration.choice import choose_method, restore_with_estimate
 from cep.restoration.plug_and_play import pnp
-from cep.restoration.sharpen import choose_method, restore_with_estimate
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
 from lab.photo_gains.photographs import load_scenes

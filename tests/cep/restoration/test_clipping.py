@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from skimage import data
 
+from cep.restoration.choice import choose_psf, is_possible_light
 from cep.restoration.clipping import fill_clipped, lights_cut
 from cep.restoration.registry import METHODS
 from cep.restoration.restore import restore
 from cep.restoration.result import misfit
-from cep.restoration.sharpen import choose_psf, is_possible_light
 from motdiff.crops import clipped_mask
 from motdiff.metrics import psnr
 from motdiff.simulate import blur_valid, photograph, visible

@@ -66,7 +66,7 @@ def test_a_psf_that_was_closed_for_a_time_is_a_code_s(scene):
 
 
 def test_a_large_photo_is_restored_in_time(scene, monkeypatch):
-    monkeypatch.setattr("cep.restoration.sharpen.LARGEST_PNP_PX", 1_000)
+    monkeypatch.setattr("cep.restoration.choice.LARGEST_PNP_PX", 1_000)
     assert restore(photo_of(scene, STRAIGHT, CODE), trajectory=STRAIGHT, code=CODE).method == (
         "wiener"
     )

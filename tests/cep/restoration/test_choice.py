@@ -4,8 +4,8 @@ for a large one."""
 import numpy as np
 import pytest
 
-from cep.restoration import sharpen as sharpen_module
-from cep.restoration.sharpen import (
+from cep.restoration import choice
+from cep.restoration.choice import (
     choose_method,
     choose_psf,
     is_possible_light,
@@ -92,7 +92,7 @@ def test_strong_noise_is_not_sharpened():
 
 
 def test_a_large_photo_is_restored_by_the_fast_method(monkeypatch):
-    monkeypatch.setattr(sharpen_module, "LARGEST_ESTIMATED_PX", 200 * 200)
+    monkeypatch.setattr(choice, "LARGEST_ESTIMATED_PX", 200 * 200)
     photo, sharp = taken(np.stack([SCENE] * 3, axis=2))
     image, method = restore_chosen(photo, RIGHT)
     assert method == "wiener"
