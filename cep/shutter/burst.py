@@ -43,7 +43,6 @@ class BurstCamera(Camera):
         import cv2
 
         self.path = path
-        self.warnings: tuple[str, ...] = ()
         with decoder_output():
             self._video = cv2.VideoCapture(str(path))
         self.frame_s = 1 / fps if (fps := self._video.get(cv2.CAP_PROP_FPS)) > 0 else math.nan
@@ -72,6 +71,11 @@ class BurstCamera(Camera):
         if not 0 <= start_s < 1e6:
             raise ValueError(f"camera: t must be seconds of the video, got {settings['t'][:40]!r}")
         return cls(path, start_s, parse_gamma(settings["gamma"]))
+
+    def controller_port(self, port: str | None) -> None:
+        """Refuse a port: the frames are the shutter."""
+        if port is not None:
+            raise ValueError("port: not valid with a burst, whose frames are its shutter")
 
     def plays(self, code: ShutterCode) -> ShutterCode:
         """Take a code, and return it with chips of whole frames, one at least.

@@ -124,8 +124,7 @@ class Rig:
         return self._prepared.record
 
     def _virtual(self, code: ShutterCode, settings: ShotSettings) -> _Prepared:
-        if not isinstance(self.camera, BurstCamera):
-            raise ValueError(f"port: camera {self.camera.name}: needs a controller, name its port")
+        assert isinstance(self.camera, BurstCamera)  # any other has a port
         settings.closed_s()  # refused, although nothing waits for it
         played = self.camera.plays(code)
         exposure_s = played.duration_ns * 1e-9
@@ -262,9 +261,8 @@ class Rig:
 
     def _doubts(self, prepared: _Prepared) -> tuple[str, ...]:
         """Say what of the set-up is not checked by itself."""
-        if isinstance(self.camera, BurstCamera):
+        if prepared.plan is None:
             return self.camera.warnings
-        assert prepared.plan is not None
         release = prepared.plan.release
         doubts = []
         if release is Release.HOST:
@@ -274,9 +272,7 @@ class Rig:
                 "that the camera begins to expose within the lead-in is trusted, and lost chips"
                 " would not show: cep hw timing measures its delay, for --profile"
             )
-        if isinstance(self.camera, TwinCamera) and self.camera.scene.motion is None:
-            doubts.append("the twin's scene rests: --linear or --trajectory moves it")
-        return tuple(doubts)
+        return (*doubts, *self.camera.warnings)
 
     def _checked(
         self, prepared: _Prepared, frame: Frame, *, plays: int | None, missed: int | None

@@ -11,11 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cep.optics.code import ShutterCode
-from cep.shutter.burst import BurstCamera
 from cep.shutter.cameras import CAMERAS
 from cep.shutter.exposure_plan import ShotSettings
 from cep.shutter.rig import Rig, Shot
-from cep.shutter.twin import TwinCamera
 from hw.cameras import open_camera
 from hw.drivers.cxp import Controller
 from motdiff.types import FloatArray
@@ -88,18 +86,9 @@ def open_rig(camera: str, port: str | None = None) -> Iterator[Rig]:
     """Open a camera and the controller of its shutter; parameters and errors are `shoot`'s."""
     with ExitStack() as stack:
         device = stack.enter_context(open_camera(camera, CAMERAS))
-        if isinstance(device, TwinCamera):
-            if port not in (None, "twin"):
-                raise ValueError("port: not valid with a twin, which brings its own controller")
-            port = device.port
-        if isinstance(device, BurstCamera):
-            if port is not None:
-                raise ValueError("port: not valid with a burst, whose frames are its shutter")
-            yield Rig(device, None)
-            return
-        if port is None:
-            raise ValueError(f"port: camera {device.name}: needs a controller; name its port")
-        yield Rig(device, stack.enter_context(Controller.open(port)))
+        port = device.controller_port(port)
+        controller = None if port is None else stack.enter_context(Controller.open(port))
+        yield Rig(device, controller)
 
 
 @dataclass(frozen=True)

@@ -248,13 +248,15 @@ class TwinCamera(Camera):
             uno.trigger(pulses=10**9, hertz=options.belt_hz)
         return camera
 
-    @property
-    def port(self) -> str:
-        """Serial port of the emulated controller."""
+    def controller_port(self, port: str | None) -> str:
+        """Return the serial port of the emulated controller; another is refused."""
+        if port not in (None, "twin"):
+            raise ValueError("port: not valid with a twin, which brings its own controller")
         return self.uno.port
 
     def moves(self, motion: Trajectory, *, start_s: float, duration_s: float) -> None:
         """Let the scene move along a path, from a time after the trigger on, for so long."""
+        self.warnings = ()
         self.scene = replace(self.scene, motion=motion, start_s=start_s, duration_s=duration_s)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
@@ -266,6 +268,7 @@ class TwinCamera(Camera):
         self._settings = replace(settings, gain_db=0.0, pixel_format=f"Mono{self.noise.bits}")
         if self.scene.motion is None:
             self.scene = replace(self.scene, duration_s=settings.exposure_s)
+            self.warnings = ("the twin's scene rests: --linear or --trajectory moves it",)
         return self._settings
 
     def arm(self) -> None:

@@ -102,11 +102,14 @@ class Camera(Protocol):
     summary : str
         One line for help pages: which cameras, and what has to be installed.
     triggers : frozenset of Trigger
+    warnings : tuple of str
+        What its photos are not sure of, or lack.
     """
 
     name: ClassVar[str]
     summary: ClassVar[str]
     triggers: ClassVar[frozenset[Trigger]]
+    warnings: tuple[str, ...] = ()
 
     @classmethod
     def open(cls, address: str) -> Self:
@@ -118,6 +121,18 @@ class Camera(Protocol):
             If there is no such camera (the line lists those seen), several fit, it is used by
             another program, or a library is missing (the line says how to install it).
         """
+
+    def controller_port(self, port: str | None) -> str | None:
+        """Return the port of its shutter's controller, by the one named; None if it has none.
+
+        Raises
+        ------
+        ValueError
+            If one is needed and not named, or named and not needed.
+        """
+        if port is None:
+            raise ValueError(f"port: camera {self.name}: needs a controller; name its port")
+        return port
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set the camera, and return what it really took.

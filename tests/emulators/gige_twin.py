@@ -47,7 +47,7 @@ def main(scene, lead_ns, code_ns, length_px):
             return frame.values.tobytes()
 
         camera = serve(fill)
-        say(f"{twin.port} {twin.scene.rows}")
+        say(f"{twin.uno.port} {twin.scene.rows}")
         sys.stdin.read()
         del camera
 
