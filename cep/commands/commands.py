@@ -15,31 +15,34 @@ from typer.core import TyperCommand, TyperGroup
 from cep.commands.options import COMMON
 
 _EXAMPLE = "Example: "
-# of parameters in Python; an option's unit is in its help
-_UNITS = ("_s", "_ms", "_ns", "_px", "_db", "_e", "_ppm", "_hz", "_dn")
 # options and arguments that set a parameter of another name: of those given, the first is meant
 _SET_BY = {
     "bits": ("bits", "code", "codes"),
+    "black_dn": ("black",),
+    "chip": ("chip_ns",),
     "chip_ns": ("chip_ns", "exposure"),
     "chips": ("chips", "code", "codes"),
     "duty": ("open",),
+    "exposure_s": ("exposure",),
     "length_px": ("linear",),
     "method": ("method", "methods"),
     "name": ("names",),
     "open_range": ("open",),
+    "path_error_px": ("path_error",),
     "photons_full_scale": ("photons",),
+    "read_noise_e": ("read_noise",),
     "response": ("device",),
     "scenarios": ("speed", "trajectory", "linear"),
     "trajectory": ("trajectory", "linear"),
 }
 
 # an error begins with the parameters that are wrong: "open_range, min_open and device: conflict"
-_NAME = r"[a-z][a-z0-9]*(?:_[a-z0-9]+)*"
-_NAMED = re.compile(rf"(?:^|(?<=, )|(?<= and )|(?<= or ))({_NAME})(?=[ ,]|$)")
+_NAMED = re.compile(r"(?:^|(?<=, )|(?<= and )|(?<= or ))\w+(?=[ ,]|$)")
 _FILE = re.compile(r"/|\.\w+$")  # or with a file, whose fields are not options
 # behind the colon only what cannot be an English word: method='pmp', and names with underscores
-_ASSIGNED = re.compile(rf"\b({_NAME})=(?:'([^']*)'|([^\s,]\S*))")
-_WITHIN = re.compile(r"""(?<![\w.'"/-])([a-z][a-z0-9]*(?:_[a-z0-9]+)+)(?![\w.'"/-])""")
+_WITHIN = re.compile(
+    r"""(?<![\w.'"/-])(?=[a-z0-9]*[_=])[a-z]\w*(?:=(?:'[^']*'|[^\s,]\S*)|(?![\w.'"/=-]))"""
+)
 
 
 def with_photo_file(error: str, images: Sequence[Path]) -> str:
@@ -72,17 +75,16 @@ def in_options(message: str, context: Any) -> str:
     """
 
     def spelt(match: re.Match[str]) -> str:
-        return _spelling(match[1], context) or match[1]
-
-    def assigned(match: re.Match[str]) -> str:
-        option = _spelling(match[1], context)
-        return f"{option} {match[2] or match[3]}" if option else match[0]
+        name, _, value = match[0].partition("=")
+        if (option := _spelling(name, context)) is None:
+            return match[0]
+        return " ".join(filter(None, (option, value.strip("'"))))
 
     names, colon, fault = message.partition(": ")
     options = names if _FILE.search(names) else _NAMED.sub(spelt, names)
     if not colon or options == names:
         return message
-    return f"{options}: {_WITHIN.sub(spelt, _ASSIGNED.sub(assigned, fault))}"
+    return f"{options}: {_WITHIN.sub(spelt, fault)}"
 
 
 class _Page:
@@ -141,26 +143,23 @@ def _panel(param: Any) -> str | None:
 
 def _spelling(name: str, context: Any) -> str | None:
     """Spell the option or argument that sets a parameter; None where none does."""
-    setters = [_bare(option) for option in _SET_BY.get(name, (name,))]
-    spellings: list[tuple[bool, int, str]] = []
+    params: dict[str, Any] = {}
     for param in context.command.params:
         longest = max(param.opts, key=len)
-        text = longest
-        if param.param_type_name == "argument":
-            text = (param.metavar or param.name.upper()).strip("[].")
-        source = context.get_parameter_source(param.name)
-        is_default = source is None or source.name != "COMMANDLINE"
         # a field may have another name than its option: open_chips is --open
-        for spelling in (_bare(param.name), _bare(longest.lstrip("-").replace("-", "_"))):
-            if spelling in setters:
-                spellings.append((is_default, setters.index(spelling), text))
-    return min(spellings)[2] if spellings else None
+        params |= {param.name: param, longest.lstrip("-").replace("-", "_"): param}
 
+    def is_default(param: Any) -> bool:
+        source = context.get_parameter_source(param.name)
+        return source is None or source.name != "COMMANDLINE"
 
-def _bare(name: str) -> str:
-    """Leave the unit out of a parameter's name."""
-    unit = next((unit for unit in _UNITS if name.endswith(unit)), "")
-    return name.removesuffix(unit)
+    setters = [params[key] for key in _SET_BY.get(name, (name,)) if key in params]
+    if not setters:
+        return None
+    setter = min(setters, key=is_default)  # the first of those given
+    if setter.param_type_name == "argument":
+        return str(setter.metavar or setter.name.upper()).strip("[].")
+    return str(max(setter.opts, key=len))
 
 
 def _pages(text: str) -> tuple[str, tuple[str, ...]]:

@@ -242,7 +242,7 @@ def test_parameters_are_translated_into_options(message, given, translated):
     params = [
         param("code", "code", kind="argument", metavar="CODE"),
         param("exposure", "--exposure"),
-        param("start", "--start"),
+        param("start_s", "--start"),
         param("open_chips", "--open", "-k"),
         param("min_open", "--min-open"),
         param("method", "--method"),
