@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.files.images import read_codes
+from cep.files.images import read_code_values
 from cep.files.raw_files import RAW_SUFFIXES, read_mosaic
 from cep.optics.camera import Camera
 from cep.optics.frame_pairs import CodeRange, FramePair, find_code_range
@@ -175,7 +175,7 @@ def _read_frame(path: Path) -> _Frame:
     if suffix in RAW_SUFFIXES:
         mosaic = read_mosaic(path)  # one filter, one position: no pixel is interpolated
         return _Frame(mosaic.green, 16, (mosaic.black_dn, mosaic.white_dn))
-    codes, warnings = read_codes(path, min_side_px=_FRAME_SIDE_PX)
+    codes, warnings = read_code_values(path, min_side_px=_FRAME_SIDE_PX)
     if codes.ndim == 3:
         if (codes != codes[:, :, :1]).any():
             raise ValueError(

@@ -63,16 +63,15 @@ def read_code(path: Path | str) -> StoredCode:
     chip_ns: Any = document.get("chip_ns")
     if isinstance(chip_ns, float) and chip_ns.is_integer():
         chip_ns = int(chip_ns)  # as some programs write whole numbers
-    code = None
     try:
         if isinstance(bits, str) and "chip_ns" in document:
-            code = ShutterCode(bits, chip_ns)
+            ShutterCode(bits, chip_ns)
     except (TypeError, ValueError) as error:  # says which chip is wrong, as a schema cannot
         raise ValueError(f"{path}: {one_line(error)}") from None
-    if (wrong := fault(document, load_schema("cep.files", "code"))) is not None or code is None:
+    if (wrong := fault(document, load_schema("cep.files", "code"))) is not None:
         raise ValueError(f"{path}: {wrong}")
     about = (document.get(name) or {} for name in ("metrics", "problem", "certificate"))
-    return StoredCode(code, *about)
+    return StoredCode(ShutterCode(bits, chip_ns), *about)
 
 
 def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:

@@ -100,7 +100,7 @@ def read_photo(
     return Photo(linear(decoded), _bits(decoded), warnings)
 
 
-def read_codes(
+def read_code_values(
     path: Path | str, *, min_side_px: int = MIN_SIDE_PX
 ) -> tuple[NDArray[Any], tuple[str, ...]]:
     """Read the code values of a PNG, TIFF, JPEG or WebP file as they are stored.

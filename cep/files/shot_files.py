@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cep.files.images import Photo, read_codes, read_photo
+from cep.files.images import Photo, read_code_values, read_photo
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from hw.cameras.camera import Frame
@@ -202,7 +202,7 @@ def read_shot(photo: Path | str, record: ShotRecord) -> Photo:
     ValueError
         If it cannot be decoded, or does not hold such code values; the line names it.
     """
-    values, warnings = read_codes(photo)
+    values, warnings = read_code_values(photo)
     if values.max() > 2**record.bits - 1:
         raise ValueError(
             f"{photo}: has code values up to {values.max()}, its record says {record.bits} bits"

@@ -7,7 +7,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import ClassVar, Self
 
-from cep.files.images import PHOTO_SUFFIXES, read_codes
+from cep.files.images import PHOTO_SUFFIXES, read_code_values
 from cep.files.raw_files import RAW_SUFFIXES, read_raw
 from cep.files.white_level import white_level
 from cep.shutter.cameras import path_and_settings
@@ -117,7 +117,7 @@ class FolderCamera(Camera):
 
     def _frame(self, path: Path) -> Frame:
         is_raw = path.suffix.lower() in RAW_SUFFIXES
-        values = read_raw(path) if is_raw else read_codes(path)[0]
+        values = read_raw(path) if is_raw else read_code_values(path)[0]
         bits = 16 if is_raw else int(white_level(values).code).bit_length()
         self._stems.add(path.stem)
         self._frames += 1

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import tifffile
 
-from cep.files.images import read_codes, read_detail, read_photo
+from cep.files.images import read_code_values, read_detail, read_photo
 from cep.files.white_level import white_level
 
 SIDE = 160
@@ -42,7 +42,7 @@ def test_few_bits_at_the_lower_end_of_16_are_brought_to_full_scale(tmp_path, bit
     part, small, _ = read_detail(tmp_path / "low.tif", side_px=SIDE, preview_px=SIDE)
     np.testing.assert_array_equal(part.pixels, photos["low"].pixels)
     np.testing.assert_array_equal(small, photos["low"].pixels)
-    np.testing.assert_array_equal(read_codes(tmp_path / "low.tif")[0], low)
+    np.testing.assert_array_equal(read_code_values(tmp_path / "low.tif")[0], low)
 
 
 def test_a_quarter_of_full_scale_is_not_rescaled_but_told():

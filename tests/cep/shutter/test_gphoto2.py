@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from emulators.tools import give_up, require_simavr
 
-from cep.files.images import read_codes
+from cep.files.images import read_code_values
 from cep.optics.code import ShutterCode
 from cep.shutter.cameras import CAMERAS
 from cep.shutter.exposure_plan import ShotSettings
@@ -60,7 +60,7 @@ def test_the_camera_delivers_its_photo(camera, photo):
         camera.wait_ready(1)
         camera.fire()
         frame = camera.read(5)
-        np.testing.assert_array_equal(frame.values, read_codes(photo)[0])
+        np.testing.assert_array_equal(frame.values, read_code_values(photo)[0])
         assert (frame.frame_id, frame.exposure_s, frame.gamma) == (number, 0.05, "srgb")
     with pytest.raises(FrameLostError, match=r"no photo within 0\.2 s"):
         camera.read(0.2)
@@ -242,4 +242,4 @@ def test_a_photo_through_a_code_counts(photo):
         shot = rig.shoot()
     assert shot.counts
     assert shot.frame.exposure_s in (0.1, 1.0)  # the listed speeds that hold code and lead-in
-    np.testing.assert_array_equal(shot.frame.values, read_codes(photo)[0])
+    np.testing.assert_array_equal(shot.frame.values, read_code_values(photo)[0])
