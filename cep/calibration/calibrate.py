@@ -226,14 +226,12 @@ def estimate_motion(
         options["codes"] = tuple(code.bits for code in codes)
         method = method or "coded"
     method = method or "motdiff"
-    set_options = [name for name, value in options.items() if value is not None]
+    label = method if isinstance(method, str) else type(method).__name__
     if isinstance(method, str) and not is_reference(method):
         method = make_method(method, options)
-    elif set_options and isinstance(method, str):
-        raise ValueError(f"{set_options[0]}: not valid with method={method!r}")
-    elif set_options:
-        raise ValueError(f"{set_options[0]}: not valid with an estimator of your own")
-
+    elif set_options := [name for name, value in options.items() if value is not None]:
+        reference = f"method={label!r}" if isinstance(method, str) else "an estimator of your own"
+        raise ValueError(f"{set_options[0]}: not valid with {reference}")
     if isinstance(method, Method):
         check_number(photos, method)
         check_all(photos, method)
@@ -244,12 +242,7 @@ def estimate_motion(
         for array in photos:
             check_texture(array)
         check_apart(photos)
-        if isinstance(method, str):
-            label = method
-            estimator = load_estimator(method)
-        else:
-            label = type(method).__name__
-            estimator = method
+        estimator = load_estimator(method) if isinstance(method, str) else method
         is_together = len(photos) > 1  # a user's estimator may take one photo alone
     pixels = [_as_light(array) for array in photos]
     if not is_together:
