@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from cep.optics.code import ShutterCode
     from cep.restoration.result import Restoration
 
+_WITH_CAMERA = [method.name for method in METHODS.values() if method.uses_camera]
+
 
 @dataclass(frozen=True, kw_only=True)
 class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
@@ -117,10 +119,8 @@ class DeblurOptions(MotionOptions, CameraOptions, CommonOptions):
                 "--anyway: not valid here: only a photo that is given alone, without a motion,"
                 " PSF, code, camera or method, may be kept as it is"
             )
-        *names, last = (
-            restoration.name for restoration in METHODS.values() if restoration.uses_camera
-        )
-        if self.method not in ("auto", *names, last):
+        if self.method not in ("auto", *_WITH_CAMERA):
+            *names, last = _WITH_CAMERA
             for name in ("camera", "photons", "read_noise"):
                 if getattr(self, name) is not None:
                     raise ValueError(
@@ -244,7 +244,7 @@ def _restored(
             code = code or record.code
             if not options.has_motion and record.trajectory is not None:
                 inputs["trajectory"] = record.trajectory
-        if record.noise is not None and options.method in ("auto", "pnp", "wiener"):
+        if record.noise is not None and options.method in ("auto", *_WITH_CAMERA):
             inputs.setdefault("camera", record.noise)
     is_blind = not inputs.keys() & {"trajectory", "psf"}
     if is_blind:
