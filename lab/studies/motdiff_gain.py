@@ -41,6 +41,7 @@ from motdiff.estimators.kernel_score import distinct, rank_kernels
 from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
+from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.metrics import mnc_matrix, mnc_subpixel
@@ -48,6 +49,7 @@ from motdiff.network import MotDiffNetwork
 from motdiff.network.correction import CorrectionNetwork
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.photo_noise import noise_sigma, shared_sigma
+from motdiff.progress import Progress
 from motdiff.threads import one_thread, side_by_side
 from motdiff.training.config import read_config
 from motdiff.training.motion_bank import drawn_kinds
@@ -102,11 +104,11 @@ class PmpCorrected(PmpEstimator):
     def search(
         self,
         crops: FloatArray,
-        *,
+        progress: Progress,
         halved: Callable[[], FloatArray] | None = None,  # noqa: ARG002, the base class's
     ) -> FoundKernels:
         """Run the starts on the crops (C, H, W), and refine the likeliest kernels."""
-        kernels = self.kernels(crops)
+        kernels = self.kernels(crops, progress=progress)
         alike = mnc_matrix(kernels)
         order = np.argsort(-rank_kernels(crops, kernels).probabilities)
         chosen = distinct(alike, order[:1], order[1:], count=_REFINED)
@@ -119,7 +121,12 @@ class PmpCorrected(PmpEstimator):
         best = max(chosen, key=lambda i: probabilities[i])
         return FoundKernels(tuple(kernels), probabilities, best, {})
 
-    def corrected(self, crops: FloatArray, kernels: FoundKernels) -> FoundKernels:
+    def corrected(
+        self,
+        crops: FloatArray,
+        kernels: FoundKernels,
+        progress: Progress,  # noqa: ARG002
+    ) -> FoundKernels:
         """Correct the kernels as ``motdiff`` does."""
         return corrected_choice(self._correction, crops, kernels, count=_REFINED)
 
@@ -129,9 +136,7 @@ class Uncorrected(MotDiffEstimator):
 
     method = "uncorrected"
 
-    def corrected(self, crops: FloatArray, kernels: FoundKernels) -> FoundKernels:  # noqa: ARG002
-        """Leave the kernel as it is."""
-        return kernels
+    corrected = BlindEstimator.corrected
 
 
 class SharedSearch:

@@ -111,6 +111,11 @@ class FoundKernels:
     corrected: tuple[NDArray[np.float64], ...] = ()
 
     @property
+    def best_kernel(self) -> NDArray[np.float64]:
+        """The chosen kernel."""
+        return self.kernels[self.best]
+
+    @property
     def confidence(self) -> float:
         """Probability that the chosen kernel is good."""
         return float(self.probabilities[self.best])

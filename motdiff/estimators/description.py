@@ -99,7 +99,8 @@ def described(
     weights = candidates.probabilities[chosen] / candidates.probabilities[chosen].sum()
     psf = path_psf = trajectories[0].psf(trajectories[0].frame_size(PSF_PX))
     if factor == 1:
-        psf = in_frame(kernels[candidates.best], max(PSF_PX, len(kernels[candidates.best]) + 1))
+        kernel = candidates.best_kernel
+        psf = in_frame(kernel, max(PSF_PX, len(kernel) + 1))
         psf = psf / psf.sum()
     of_the_psf = list(candidates.warnings)
     if uneven is not None:
@@ -159,7 +160,7 @@ def _path_of(candidates: FoundKernels, plain_mnc: float) -> _KernelPath:
     """Path of the best kernel: its own simple motion, a plain path, or a smooth one."""
     if candidates.path is not None:
         return _KernelPath(candidates.path, candidates.path, _PLAIN_RIGHT)
-    kernel = candidates.kernels[candidates.best]
+    kernel = candidates.best_kernel
     bright = without_faint_parts(kernel)
     plain = plain_trajectory(bright, least_mnc=plain_mnc)
     if plain is not None:

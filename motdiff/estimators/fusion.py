@@ -97,7 +97,7 @@ def fuse(
     refine : callable
         From crops (C, H, W) and a kernel to the kernel fitted to them once more.
     """
-    kernels = [single.kernels[single.best] for single in singles]
+    kernels = [single.best_kernel for single in singles]
     # prepared once: each photo judges the kernels of all
     judges = [Judge(photo_crops) for photo_crops in crops]
 
@@ -110,7 +110,7 @@ def fuse(
             [judges[i] for i in photos],
             refine=partial(refine, joint_crops),
         )
-        shared = joint.kernels[joint.best]
+        shared = joint.best_kernel
         alike = tuple(mnc_subpixel(kernel, shared) for kernel in kernels)
         left_out = tuple(i for i in range(len(crops)) if i not in photos)
         gains = {i: _gain(judges[i], kernels[i], shared) for i in photos if alike[i] < GOOD_MNC}
@@ -158,9 +158,9 @@ def _chosen(
     refine: Callable[[FloatArray], FloatArray],
 ) -> FoundKernels:
     """Put a photo's kernel, or its refinement, for the joint search's best if it scores higher."""
-    single_kernels = [single.kernels[single.best] for single in singles]
+    single_kernels = [single.best_kernel for single in singles]
     refined = [refine(kernel) for kernel in single_kernels]
-    candidates = [joint.kernels[joint.best], *single_kernels, *refined]
+    candidates = [joint.best_kernel, *single_kernels, *refined]
     # the mean over photos: each counts alike, however many crops it has
     evidence = np.mean([judge.evidence(candidates) for judge in judges], axis=0)
     agreement = mnc_matrix(candidates)[:, 1 : 1 + len(singles)].mean(axis=1)

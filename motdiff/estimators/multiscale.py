@@ -69,24 +69,27 @@ class BlindEstimator(ABC):
         if crops < 1:
             raise ValueError(f"crops: must be at least 1, got {crops}")
         self._crops = crops
-        self._tell = progress  # each estimate begins a plan of its own
-        self._progress = Progress(progress)
+        self._tell = progress
 
     @abstractmethod
     def search(
-        self, crops: FloatArray, *, halved: Callable[[], FloatArray] | None = None
+        self, crops: FloatArray, progress: Progress, halved: Callable[[], FloatArray] | None = None
     ) -> FoundKernels:
         """Search the kernel that the crops (C, H, W), grey, linear light, share.
 
         Parameters
         ----------
+        progress : Progress
+            Of the search, which plans it, and what follows it as well.
         halved : callable, optional
             Returns crops (C', h, w) of the photo at half its size, for a search that needs them;
             None where it is too small.
         """
 
     @abstractmethod
-    def single(self, crops: FloatArray, candidates: FoundKernels) -> list[FloatArray]:
+    def single(
+        self, crops: FloatArray, candidates: FoundKernels, progress: Progress
+    ) -> list[FloatArray]:
         """Search each crop alone, in the cheapest way, to test whether the blur is uniform."""
 
     def refine(self, crops: FloatArray, kernel: FloatArray) -> FloatArray:
@@ -95,7 +98,12 @@ class BlindEstimator(ABC):
 
         return refined(crops, kernel, shared_sigma(crops))
 
-    def corrected(self, crops: FloatArray, candidates: FoundKernels) -> FoundKernels:  # noqa: ARG002
+    def corrected(
+        self,
+        crops: FloatArray,  # noqa: ARG002, of the estimators that correct
+        candidates: FoundKernels,
+        progress: Progress,  # noqa: ARG002
+    ) -> FoundKernels:
         """Improve the final kernels of the crops (C, H, W), each in its place; here unchanged."""
         return candidates
 
@@ -135,49 +143,44 @@ class BlindEstimator(ABC):
             smaller than another.
         """
         with one_thread_a_call():
-            progress = self._progress = Progress(self._tell)
-            greys = _each(
-                photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px)
-            )
-            # thresholds on light and noise then mean the same in a dim photo
-            greys = [
-                exposure_gain(photo) * grey for photo, grey in zip(photos, greys, strict=True)
-            ]
-            clipped = [clipped_mask(photo) for photo in photos]
-            levels = self._levels(greys, clipped, progress)
-            best = levels[-1]
-            corrected = self.corrected(best.crops, best.candidates)
-            # a correction spreads light: extent and evenness are tested on the kernels as searched
-            tested = replace(best, candidates=replace(best.candidates, best=corrected.best))
-            uneven = None
-            photo_count = len(best.fusion.photos) if best.fusion else 1
-            if len(best.crops) > photo_count:  # unevenness shows only between crops of one photo
-                single_kernels = self.single(best.crops, best.candidates)
-                uneven = uneven_blur_warning(
-                    best.crops, single_kernels, tested.candidates.kernels[corrected.best]
-                )
-            outgrown = _outgrown(tested, self.largest_px)
-            estimate = described(
-                corrected,
-                method=self.method,
-                factor=best.factor,
-                plain_mnc=self.plain_mnc,
-                uneven=uneven,
-                details={"crops": len(best.crops), **_repeatability(best)},
-            )
-            estimate = doubted(
-                estimate, levels[0].photographed, uneven=uneven is not None, outgrown=outgrown
-            )
+            progress = Progress(self._tell)
+            levels = self._levels(photos, progress)
+            estimate = self._described(levels, progress)
             progress.finish()
             return estimate
 
-    def _levels(
-        self,
-        greys: Sequence[FloatArray],
-        clipped: Sequence[NDArray[np.bool_]],
-        progress: Progress,
-    ) -> list[_Level]:
+    def _described(self, levels: Sequence[_Level], progress: Progress) -> MotionEstimate:
+        """Correct the kernels of the last level, and describe the best with its doubts."""
+        best = levels[-1]
+        corrected = self.corrected(best.crops, best.candidates, progress)
+        # a correction spreads light: extent and evenness are tested on the kernel as searched
+        kernel = best.candidates.kernels[corrected.best]
+        uneven = None
+        photo_count = len(best.fusion.photos) if best.fusion else 1
+        if len(best.crops) > photo_count:  # unevenness shows only between crops of one photo
+            single_kernels = self.single(best.crops, best.candidates, progress)
+            uneven = uneven_blur_warning(best.crops, single_kernels, kernel)
+        estimate = described(
+            corrected,
+            method=self.method,
+            factor=best.factor,
+            plain_mnc=self.plain_mnc,
+            uneven=uneven,
+            details={"crops": len(best.crops), **_repeatability(best)},
+        )
+        return doubted(
+            estimate,
+            levels[0].photographed,
+            uneven=uneven is not None,
+            outgrown=_outgrown(kernel, self.largest_px),
+        )
+
+    def _levels(self, photos: Sequence[ArrayLike], progress: Progress) -> list[_Level]:
         """Search the photos at their size, and at smaller ones while that finds more."""
+        greys = _each(photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px))
+        # thresholds on light and noise then mean the same in a dim photo
+        greys = [exposure_gain(photo) * grey for photo, grey in zip(photos, greys, strict=True)]
+        clipped = [clipped_mask(photo) for photo in photos]
         count = min(self._crops, max(1, _MOST_CROPS // len(greys)))
         images = list(zip(greys, clipped, strict=True))
         least_px = min(min(grey.shape) for grey in greys)
@@ -188,8 +191,7 @@ class BlindEstimator(ABC):
                 halved = None
                 if least_px // factor >= _LEAST_HALVED_PX:
                     halved = partial(_halved_crops, images[0], factor=factor, count=count)
-                candidates = self.search(cuts[0].crops, halved=halved)
-                searched = self._without_lights(cuts[0], candidates)
+                searched = self._searched(cuts[0], progress, halved=halved)
                 level = _Level(factor, *searched, cuts[0].crops)
             else:
                 level = self._fused(factor, cuts, progress)
@@ -208,20 +210,20 @@ class BlindEstimator(ABC):
         sizes = [crop.size for crop in (*(cut.crops for cut in cuts), *photographed)]
         progress.expect(1.0)
 
-        def piece(stack: FloatArray) -> None:
-            self._progress = Progress(progress.piece(stack.size / sum(sizes)))
+        def piece(stack: FloatArray) -> Progress:
+            return Progress(progress.piece(stack.size / sum(sizes)))
 
         def search_jointly(stack: FloatArray) -> FoundKernels:
-            piece(stack)
-            candidates = self.search(stack)
-            self._progress.finish()
+            of_stack = piece(stack)
+            candidates = self.search(stack, of_stack)
+            of_stack.finish()
             return candidates
 
         searches = []
         for cut in cuts:
-            piece(cut.crops)
-            searches.append(self._without_lights(cut, self.search(cut.crops)))
-            self._progress.finish()
+            of_photo = piece(cut.crops)
+            searches.append(self._searched(cut, of_photo))
+            of_photo.finish()
         singles = [candidates for _, candidates in searches]
         fusion = fuse(
             cut_alike([crops for crops, _ in searches]),
@@ -232,10 +234,13 @@ class BlindEstimator(ABC):
         lit_crops = np.concatenate([photographed[i] for i in fusion.photos])
         return _Level(factor, fusion.crops, fusion.joint, lit_crops, fusion, tuple(singles))
 
-    def _without_lights(
-        self, cut: _Cut, candidates: FoundKernels
+    def _searched(
+        self, cut: _Cut, progress: Progress, halved: Callable[[], FloatArray] | None = None
     ) -> tuple[FloatArray, FoundKernels]:
-        """Search a lost blur again without clipped lights: the likelier one, after its crops."""
+        """Search a photo's blur, a lost one again without clipped lights: the likelier one, after
+        its crops.
+        """
+        candidates = self.search(cut.crops, progress, halved=halved)
         if candidates.confidence >= _LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
             return cut.crops, candidates
         crops = np.stack(
@@ -243,7 +248,7 @@ class BlindEstimator(ABC):
         )
         if np.array_equal(crops, cut.crops) or not np.ptp(crops, axis=(1, 2)).all():
             return cut.crops, candidates
-        retried = self.search(crops)
+        retried = self.search(crops, progress)
         if retried.confidence <= candidates.confidence:
             return cut.crops, candidates
         return crops, replace(retried, details={**retried.details, "lights_left_out": True})
@@ -316,12 +321,13 @@ def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
     """Whether the blur is too large for the search, or the search failed in a large photo."""
     side_px = full_side_px // level.factor
     lost = level.candidates.confidence < _LOST and side_px >= 2 * CROP_PX
-    return (_outgrown(level, largest_px) and side_px >= _LEAST_HALVED_PX) or lost
+    outgrown = _outgrown(level.candidates.best_kernel, largest_px)
+    return (outgrown and side_px >= _LEAST_HALVED_PX) or lost
 
 
-def _outgrown(level: _Level, largest_px: int) -> bool:
+def _outgrown(kernel: FloatArray, largest_px: int) -> bool:
     """Whether the kernel found is about as large as the largest that is searched."""
-    y, x = np.nonzero(level.candidates.kernels[level.candidates.best])
+    y, x = np.nonzero(kernel)
     return bool(max(np.ptp(y), np.ptp(x)) + 1 > _LARGEST_EXTENT * largest_px)
 
 
@@ -330,14 +336,14 @@ def _repeatability(level: _Level) -> dict[str, object]:
     fusion = level.fusion
     if fusion is None:
         return {}
-    shared = fusion.joint.kernels[fusion.joint.best]
+    shared = fusion.joint.best_kernel
     path = simplest_trajectory(without_faint_parts(shared)).scaled(level.factor)
     apart: list[float | None] = []
     for i, (single, alike) in enumerate(zip(level.singles, fusion.repeatability, strict=True)):
         if alike < GOOD_MNC or i not in fusion.photos:
             apart.append(None)
             continue
-        single_path = simplest_trajectory(without_faint_parts(single.kernels[single.best]))
+        single_path = simplest_trajectory(without_faint_parts(single.best_kernel))
         apart.append(path_distance_px(single_path.scaled(level.factor), path))
     return {
         "photos": len(level.singles),

@@ -28,6 +28,7 @@ from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import mnc_matrix, mnc_subpixel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.photo_noise import noise_sigma, shared_sigma
+from motdiff.progress import Progress
 from motdiff.psf_frame import ODD_PX
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
@@ -106,11 +107,11 @@ class MotDiffEstimator(BlindEstimator):
         self._seed = seed
 
     def search(
-        self, crops: FloatArray, *, halved: Callable[[], FloatArray] | None = None
+        self, crops: FloatArray, progress: Progress, halved: Callable[[], FloatArray] | None = None
     ) -> FoundKernels:
         """Sample, score and refine kernels of the crops (C, H, W)."""
         at_the_end = _CORRECT_COST + _TRACE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0)
-        self._progress.expect(
+        progress.expect(
             planned(len(STARTS)) + _DRAW_COST + _JUDGE_COST + _REFINE_COST + at_the_end
         )
         judge = Judge(crops, sigma=shared_sigma(crops))
@@ -120,20 +121,20 @@ class MotDiffEstimator(BlindEstimator):
             nonlocal settled
             settled = agreed_kernels(self._correction, crops, pair, judge)
             if settled is None and halved is not None:
-                self._progress.expect_more(_HALVED_COST)
+                progress.expect_more(_HALVED_COST)
                 settled = kernels_agreed_at_half(
                     self._correction,
                     crops,
                     pair,
                     halved(),
                     judge=judge,
-                    progress=self._progress,
+                    progress=progress,
                 )
             return settled is not None
 
-        searched = PmpEstimator().kernels(crops, progress=self._progress, agreed=agreed)
+        searched = PmpEstimator().kernels(crops, progress=progress, agreed=agreed)
         if settled is not None:
-            self._progress.expect(at_the_end)
+            progress.expect(at_the_end)
             return settled
         classical = framed(searched)
         conditions = _CONDITIONS_OF_ALL if len(classical) > 2 else _CONDITIONS_OF_TWO
@@ -145,7 +146,7 @@ class MotDiffEstimator(BlindEstimator):
             steps=_STEPS,
             generator=torch.Generator().manual_seed(self._seed),
         )
-        self._progress.spend(_DRAW_COST)
+        progress.spend(_DRAW_COST)
         kernels = in_odd_frames(
             np.concatenate([draws, classical, draws.mean(axis=0, keepdims=True)])
         )
@@ -154,7 +155,7 @@ class MotDiffEstimator(BlindEstimator):
         evidence = judge.evidence(kernels)
         likeness = mnc_matrix(kernels)
         believed = candidate_probabilities(evidence, likeness, **groups)
-        self._progress.spend(_JUDGE_COST)
+        progress.spend(_JUDGE_COST)
         likeliest = groups["samples"] + int(np.argmax(believed[groups["samples"] : mean]))
         chosen = distinct(likeness, [likeliest, mean], np.argsort(-believed), count=_REFINED)
         sharpened = side_by_side(
@@ -165,7 +166,7 @@ class MotDiffEstimator(BlindEstimator):
         believed = candidate_probabilities(evidence, mnc_matrix(kernels), **groups)
         # only among the refined: each is better than the kernel it comes from
         best = mean + 1 + int(np.argmax(believed[mean + 1 :]))
-        self._progress.spend(_REFINE_COST)
+        progress.spend(_REFINE_COST)
         origins = ["sample"] * len(draws) + ["classical"] * len(classical) + ["mean of samples"]
         origins += [origins[i] for i in chosen]
         details: dict[str, object] = {
@@ -175,15 +176,22 @@ class MotDiffEstimator(BlindEstimator):
         }
         return FoundKernels(tuple(kernels), believed, best, details, origins=tuple(origins))
 
-    def single(self, crops: FloatArray, candidates: FoundKernels) -> list[FloatArray]:  # noqa: ARG002, the base class's
+    def single(
+        self,
+        crops: FloatArray,
+        candidates: FoundKernels,  # noqa: ARG002, the base class's
+        progress: Progress,
+    ) -> list[FloatArray]:
         """Run one quick search on each crop alone."""
         cost = _SINGLE_COST / len(crops)
         return side_by_side(
             [partial(_searched_alone, crop) for crop in crops],
-            tell=lambda _finished: self._progress.spend(cost),
+            tell=lambda _finished: progress.spend(cost),
         )
 
-    def corrected(self, crops: FloatArray, candidates: FoundKernels) -> FoundKernels:
+    def corrected(
+        self, crops: FloatArray, candidates: FoundKernels, progress: Progress
+    ) -> FoundKernels:
         """Correct the likeliest kernels, choose anew, and take a simple motion as likely."""
         if candidates.corrected:
             better = replace(candidates, kernels=candidates.corrected)
@@ -192,14 +200,14 @@ class MotDiffEstimator(BlindEstimator):
             better = corrected_choice(
                 self._correction, crops, candidates, count=_REFINED, skip=self._samples
             )
-        motion = simple_motion(crops, better.kernels[better.best], sigma=shared_sigma(crops))
+        motion = simple_motion(crops, better.best_kernel, sigma=shared_sigma(crops))
         if motion is not None:
             kernels = list(better.kernels)
             kernels[better.best] = motion.psf
             better = replace(
                 better, kernels=tuple(kernels), path=motion.path, path_error_px=motion.error_px
             )
-        self._progress.spend(_CORRECT_COST)
+        progress.spend(_CORRECT_COST)
         return better
 
 

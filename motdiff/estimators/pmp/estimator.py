@@ -83,19 +83,19 @@ class PmpEstimator(BlindEstimator):
     def search(
         self,
         crops: FloatArray,
-        *,
+        progress: Progress,
         halved: Callable[[], FloatArray] | None = None,  # noqa: ARG002, the base class's
     ) -> FoundKernels:
         """Run the starts on the crops (C, H, W) and refine the best once more."""
         single = _SINGLE_COST if len(crops) > 1 else 0.0
-        self._progress.expect(
+        progress.expect(
             planned(len(self._starts)) + _RANK_COST + _REFINE_COST + single + _TRACE_COST
         )
-        kernels = self.kernels(crops, progress=self._progress)
+        kernels = self.kernels(crops, progress=progress)
         ranking = rank_kernels(crops, kernels)
-        self._progress.spend(_RANK_COST)
+        progress.spend(_RANK_COST)
         kernels[ranking.best] = self.refine(crops, kernels[ranking.best])
-        self._progress.spend(_REFINE_COST)
+        progress.spend(_REFINE_COST)
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
         return FoundKernels(tuple(kernels), ranking.probabilities, ranking.best, details)
 
@@ -103,7 +103,7 @@ class PmpEstimator(BlindEstimator):
         self,
         crops: FloatArray,
         *,
-        progress: Progress | None = None,
+        progress: Progress,
         agreed: Callable[[Sequence[FloatArray]], bool] = alike,
     ) -> list[FloatArray]:
         """Search kernels (size, size), sum 1, of crops (C, H, W) from each start.
@@ -111,7 +111,6 @@ class PmpEstimator(BlindEstimator):
         From the first two alone where their kernels have ``agreed``. A start costs 1 of the
         ``progress``, :func:`planned` in all.
         """
-        progress = progress or Progress()
         jobs = [
             partial(self._run, crops, start, on_progress=progress.piece(1.0))
             for start in self._starts
@@ -124,13 +123,15 @@ class PmpEstimator(BlindEstimator):
                 kernels += side_by_side(jobs[2:])
         return kernels
 
-    def single(self, crops: FloatArray, candidates: FoundKernels) -> list[FloatArray]:
+    def single(
+        self, crops: FloatArray, candidates: FoundKernels, progress: Progress
+    ) -> list[FloatArray]:
         """Run the winning start on each crop alone."""
         start = self._starts[candidates.best]
         cost = _SINGLE_COST / len(crops)
         return side_by_side(
             [
-                partial(self._run, crop[None], start, on_progress=self._progress.piece(cost))
+                partial(self._run, crop[None], start, on_progress=progress.piece(cost))
                 for crop in crops
             ]
         )

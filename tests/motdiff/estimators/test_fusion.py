@@ -83,7 +83,7 @@ def test_a_photo_that_is_lost_alone_is_no_other_motion():
 
 def test_the_kernel_of_a_photo_takes_the_place_of_a_joint_search_that_is_lost():
     result, _ = fused([ACROSS] * 3, joint=DOWN)
-    assert mnc_subpixel(result.joint.kernels[result.joint.best], ACROSS) == pytest.approx(1)
+    assert mnc_subpixel(result.joint.best_kernel, ACROSS) == pytest.approx(1)
     assert (result.joint.best, result.joint.confidence) == (0, 0.9)
     assert result.joint.details["fused_by"] == "kernel of one photo"
 

@@ -44,7 +44,7 @@ class FakeSearch(BlindEstimator):
         self.seen = []
         self.alone = []
 
-    def search(self, crops, *, halved=None):
+    def search(self, crops, progress, halved=None):
         kernel, confidence = self.answers[min(len(self.seen), len(self.answers) - 1)]
         self.seen.append(crops)
         kernels, probabilities = zip(*self.others, (kernel, confidence), strict=True)
@@ -60,9 +60,9 @@ class FakeSearch(BlindEstimator):
     def refine(self, crops, kernel):
         return kernel
 
-    def single(self, crops, found):
+    def single(self, crops, found, progress):
         self.alone.append((crops, found))
-        return self.singles or [found.kernels[found.best]] * len(crops)
+        return self.singles or [found.best_kernel] * len(crops)
 
 
 @pytest.fixture(autouse=True)
@@ -96,9 +96,9 @@ def test_the_search_has_one_thread_a_call_and_the_process_its_own_afterwards(mon
     seen = []
 
     class Noting(FakeSearch):
-        def search(self, crops, *, halved=None):
+        def search(self, crops, progress, halved=None):
             seen.append(threads())
-            return super().search(crops)
+            return super().search(crops, progress)
 
     def threads():
         return torch.get_num_threads(), {
@@ -122,10 +122,10 @@ def test_the_search_has_one_thread_a_call_and_the_process_its_own_afterwards(mon
 
 def test_each_photo_is_told_of_from_the_start_to_the_end():
     class Telling(FakeSearch):
-        def search(self, crops, *, halved=None):
-            self._progress.expect(2.0)
-            self._progress.spend(1.0)
-            return super().search(crops)
+        def search(self, crops, progress, halved=None):
+            progress.expect(2.0)
+            progress.spend(1.0)
+            return super().search(crops, progress)
 
     shares = []
     search = Telling((LONG, UNSURE), (line(), SURE), progress=shares.append)
@@ -138,10 +138,10 @@ def test_each_photo_is_told_of_from_the_start_to_the_end():
 
 def test_several_photos_are_told_of_as_one_work():
     class Telling(FakeSearch):
-        def search(self, crops, *, halved=None):
-            self._progress.expect(2.0)
-            self._progress.spend(1.0)
-            return super().search(crops)
+        def search(self, crops, progress, halved=None):
+            progress.expect(2.0)
+            progress.spend(1.0)
+            return super().search(crops, progress)
 
     shares = []
     Telling(progress=shares.append).estimate_from([noise(100, 100), noise(100, 100, seed=1)])
@@ -172,7 +172,7 @@ def test_several_photos_are_searched_alone_and_together():
 class Correcting(FakeSearch):
     """Turns every kernel found, once."""
 
-    def corrected(self, crops, found):
+    def corrected(self, crops, found, progress):
         self.corrected_crops = [*getattr(self, "corrected_crops", []), crops.shape]
         return replace(found, kernels=tuple(np.rot90(kernel) for kernel in found.kernels))
 

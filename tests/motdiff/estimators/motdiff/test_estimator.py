@@ -22,6 +22,7 @@ from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.photo_noise import noise_sigma, shared_sigma
+from motdiff.progress import Progress
 from motdiff.simulate import blur_valid
 from motdiff.threads import one_thread
 from motdiff.training.config import DataConfig, TrainingConfig
@@ -429,7 +430,7 @@ def test_the_likeliest_different_kernels_are_corrected_and_the_photo_chooses(mon
 
     monkeypatch.setattr(correcting, "corrected_kernel", noted)
     estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=2)
-    better = estimator.corrected(shaken[None], found)
+    better = estimator.corrected(shaken[None], found, Progress())
     assert sorted(told) == [(2, 3, 4), (3, 4, 5), (5, 3, 4)]
     assert better.best == 5
     assert mnc_subpixel(better.kernels[5], STRAIGHT.psf(63)) > 0.99
@@ -451,7 +452,7 @@ def test_a_correction_makes_no_kernel_likelier_than_the_best_was(monkeypatch, sh
         correcting, "corrected_kernel", lambda _network, _crops, kernel, _others, **_: kernel
     )
     better = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1).corrected(
-        shaken[None], found
+        shaken[None], found, Progress()
     )
     assert better.confidence == 0.4
     assert sorted(better.probabilities[1:]) == pytest.approx([0.2, 0.4, 0.4])
@@ -510,8 +511,8 @@ def test_where_two_corrected_searches_agree_nothing_more_is_searched_or_drawn(mo
     monkeypatch.setattr(module, "PmpEstimator", TwoThenFour)
     monkeypatch.setattr(module, "draw_psfs", lambda *_, **__: pytest.fail("drew a motion"))
     estimator = estimator_with(monkeypatch, Oracle(STRAIGHT))
-    candidates = estimator.search(shaken[None])
-    better = estimator.corrected(shaken[None], candidates)
+    candidates = estimator.search(shaken[None], Progress())
+    better = estimator.corrected(shaken[None], candidates, Progress())
     assert len(candidates.kernels) == 2
     assert mnc_subpixel(candidates.kernels[0], STRAIGHT.psf(63)) > 0.99  # as searched
     pair = [STRAIGHT.psf(start.size) for start in STARTS[:2]]
@@ -531,10 +532,10 @@ def test_where_two_corrected_searches_differ_the_network_draws(monkeypatch, shak
         correcting, "corrected_kernel", lambda _network, _crops, kernel, *_, **__: kernel
     )
     oracle = Oracle(STRAIGHT)
-    candidates = estimator_with(monkeypatch, oracle).search(shaken[None])
+    candidates = estimator_with(monkeypatch, oracle).search(shaken[None], Progress())
     assert oracle.steps
     assert candidates.details["classical"] == len(STARTS)
-    assert mnc_subpixel(candidates.kernels[candidates.best], STRAIGHT.psf(63)) > 0.9
+    assert mnc_subpixel(candidates.best_kernel, STRAIGHT.psf(63)) > 0.9
 
 
 def test_where_they_agree_at_half_the_size_nothing_more_is_searched_or_drawn(monkeypatch):
@@ -599,7 +600,9 @@ def test_the_mean_of_the_draws_and_the_likeliest_classical_kernel_are_always_ref
         module, "refined", lambda _crops, kernel, _sigma: refined.append(kernel) or kernel
     )
     monkeypatch.setattr("motdiff.threads.os.cpu_count", lambda: 1)  # one after the other
-    found = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=4).search(shaken[None])
+    found = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=4).search(
+        shaken[None], Progress()
+    )
     assert len(refined) == 3
     assert len(found.kernels) == 4 + 4 + 1 + 3
     assert mnc_subpixel(refined[0], LOST[1].psf(63)) > 0.99
@@ -615,7 +618,7 @@ def test_the_network_is_told_of_three_full_searches_smallest_frame_first(
     motions = [Trajectory.straight(float(i + 5), angle_rad=0.3) for i in range(len(STARTS))]
     classical(*motions)
     network = Blind()
-    estimator_with(monkeypatch, network, samples=1).search(shaken[None])
+    estimator_with(monkeypatch, network, samples=1).search(shaken[None], Progress())
     told = [(29, 0), (39, 0), (53, 0)]
     index = [
         [(start.size, start.quarter_turns) for start in STARTS].index(wanted) for wanted in told
@@ -634,7 +637,7 @@ def test_where_the_first_two_searches_agree_the_larger_stands_for_the_third(
         module.PmpEstimator, "kernels", lambda *_, **__: [STRAIGHT.psf(39), LOST[0].psf(53)]
     )
     network = Blind()
-    found = estimator_with(monkeypatch, network, samples=1).search(shaken[None])
+    found = estimator_with(monkeypatch, network, samples=1).search(shaken[None], Progress())
     assert found.details["classical"] == 2
     for kernel, told in zip(
         network.shown[0][0, 2:5].numpy(), (LOST[0], STRAIGHT, LOST[0]), strict=True
@@ -649,7 +652,7 @@ def test_the_real_searches_fit(monkeypatch, unrefined):
     )
     network = Blind()
     found = estimator_with(monkeypatch, network, samples=1).search(
-        photo_of(STRAIGHT, 64, 64)[None]
+        photo_of(STRAIGHT, 64, 64)[None], Progress()
     )
     assert found.details["classical"] == 2
     assert network.shown[0].shape == (1, 8, 64, 64)
@@ -687,7 +690,7 @@ def test_the_same_photo_and_seed_give_the_same_estimate(physics_only, no_tracing
 def test_another_seed_gives_other_draws(physics_only, no_search, unrefined, shaken):
     options = {"weights": physics_only, "samples": 3}
     one, same, other = (
-        MotDiffEstimator(**options, seed=seed).search(shaken[None]).kernels[:3]
+        MotDiffEstimator(**options, seed=seed).search(shaken[None], Progress()).kernels[:3]
         for seed in (4, 4, 5)
     )
     for i in range(3):
@@ -738,7 +741,7 @@ def test_each_crop_alone_is_searched_once(physics_only, no_search):
     estimator = MotDiffEstimator(weights=physics_only)
     crops = np.stack([photo_of(STRAIGHT, 80, 80, seed=seed) for seed in range(3)])
     found = FoundKernels((STRAIGHT.psf(63),), np.ones(1), 0)
-    singles = estimator.single(crops, found)
+    singles = estimator.single(crops, found, Progress())
     assert len(singles) == 3
     assert sorted(call[1] for call in no_search) == sorted(noise_sigma(crop) for crop in crops)
     assert {(call[0], *call[2:]) for call in no_search} == {((1, 1, 80, 80), QUICK_STARTS[:1], ())}
