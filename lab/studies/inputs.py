@@ -27,15 +27,15 @@ def photos(folder: Path | None) -> list[tuple[str, FloatArray]]:
         from skimage import data
 
         return [(name, to_linear(getattr(data, name)() / 255.0)) for name in BUNDLED]
-    paths = sorted(
-        p
-        for p in folder.rglob("*")
-        if p.suffix.lower() in {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
-    )
-    images = [(p.name, cv2.imread(str(p), cv2.IMREAD_COLOR)) for p in paths]
+    images = [(p.name, cv2.imread(str(p), cv2.IMREAD_COLOR)) for p in photo_files(folder)]
     return [
         (name, to_linear(image[..., ::-1] / 255.0)) for name, image in images if image is not None
     ]
+
+
+def photo_files(folder: Path) -> list[Path]:
+    suffixes = {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
+    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in suffixes)
 
 
 def smooth_trace(rng: np.random.Generator, *, duration_s: float, rate_hz: float) -> GyroTrace:
@@ -58,10 +58,20 @@ def finished_rows(file: Path) -> list[dict[str, Any]]:
     return list(kept_rows(file)) if file.exists() else []
 
 
+def finished_cases(file: Path | None) -> dict[str, dict[str, Any]]:
+    """Figures of the finished cases, by :func:`case_key`; none without a file."""
+    return {case_key(row.pop("case")): row for row in finished_rows(file)} if file else {}
+
+
+def case_key(case: object) -> str:
+    return json.dumps(case, sort_keys=True)
+
+
 def add_row(file: Path, row: Mapping[str, Any]) -> None:
     """Append a row to a file of JSON lines, which :func:`kept_rows` reads."""
+    cut_off = file.exists() and file.read_bytes()[-1:] not in (b"", b"\n")
     with file.open("a", encoding="utf-8") as stream:
-        stream.write(json.dumps(row) + "\n")
+        stream.write("\n" * cut_off + json.dumps(row) + "\n")
 
 
 def study_parser(documentation: str | None) -> argparse.ArgumentParser:

@@ -8,11 +8,11 @@ The first form takes the held-out photos of a run. The figures are paired differ
 
 Each photo is estimated by ``pmp``, by ``motdiff``, and by two others, which each lack one of its
 networks. ``pmp+`` is ``pmp`` with the refinement and the correction of ``motdiff``: all of it but
-the diffusion network. ``uncorrected`` is ``motdiff`` without the correction. A search that several
-need is run once, and its time counts for each. CONFIG is a run's TOML file with prepared samples;
-there the diffusion network alone is measured too. DIR and NAME are those of ``python -m lab bench
-blind``. One thread; a row is appended as soon as it is done, and an interrupted bench goes on
-where it stopped.
+the diffusion network. ``uncorrected`` is ``motdiff`` without the correction. A search that two of
+them need is run once, and its time counts for each. CONFIG is a run's TOML file with prepared
+samples; there the diffusion network alone is measured too. DIR and NAME are those of ``python -m
+lab bench blind``. One thread; a row is appended as soon as it is done, and an interrupted bench
+goes on where it stopped.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,7 +35,7 @@ from lab.bench.statistics import mean_interval
 from lab.evaluation.draws import measure_draws
 from lab.evaluation.sets import levin_photo
 from lab.studies.inputs import add_row, kept_rows, study_parser
-from motdiff.blind_search.coarse_to_fine import Start, refined
+from motdiff.blind_search.coarse_to_fine import refined
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
 from motdiff.estimators.kernel_score import distinct, rank_kernels
@@ -90,15 +91,56 @@ class Photo:
     conditions: FloatArray | None = None
 
 
-class PmpCorrected(PmpEstimator):
+class SharedSearches:
+    """Searches of one photo, each run once whatever the number of methods that need it.
+
+    Attributes
+    ----------
+    spared_s : float, seconds
+        Processor time that repeated searches would have taken.
+    """
+
+    def __init__(self) -> None:
+        self._kernels: dict[tuple[str, bytes], tuple[Any, float]] = {}
+        self.spared_s = 0.0
+
+    def run(self, search: Callable[..., Any], crops: FloatArray, *plan: Any, **options: Any):
+        """Search the crops (C, H, W), or give what was found before."""
+        key = search.__qualname__, crops.tobytes()
+        if key in self._kernels:
+            self.spared_s += self._kernels[key][1]
+        else:
+            began_s = time.process_time()
+            kernels = search(crops, *plan, **options)
+            self._kernels[key] = kernels, time.process_time() - began_s
+        return self._kernels[key][0]
+
+    def forget(self) -> None:
+        """Forget the kernels, before another photo."""
+        self._kernels.clear()
+
+
+class Pmp(PmpEstimator):
+    """PMP that shares the searches of its starts."""
+
+    def __init__(self, shared: SharedSearches) -> None:
+        super().__init__()
+        self._shared = shared
+
+    def kernels(self, crops: FloatArray, **options: Any) -> list[FloatArray]:
+        """Search kernels from each start, or give those of before."""
+        return list(self._shared.run(super().kernels, crops, **options))
+
+
+class PmpCorrected(Pmp):
     """PMP whose three likeliest different kernels are refined and judged again, and the best of
     these corrected.
     """
 
     method = "pmp+"
 
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(self, shared: SharedSearches) -> None:
+        super().__init__(shared)
         self._correction = load_correction()
 
     def search(
@@ -131,45 +173,23 @@ class PmpCorrected(PmpEstimator):
         return corrected_choice(self._correction, crops, kernels, count=_REFINED)
 
 
-class Uncorrected(MotDiffEstimator):
+class MotDiff(MotDiffEstimator):
+    """MoTDiff that shares its search."""
+
+    def __init__(self, shared: SharedSearches) -> None:
+        super().__init__()
+        self._shared = shared
+
+    def search(self, crops: FloatArray, *plan: Any, **options: Any) -> FoundKernels:
+        """Search kernels, or give those of before."""
+        return self._shared.run(super().search, crops, *plan, **options)
+
+
+class Uncorrected(MotDiff):
     """MoTDiff without the correction."""
 
     method = "uncorrected"
-
     corrected = BlindEstimator.corrected
-
-
-class SharedSearch:
-    """PMP's search from a start, run once for a photo whatever the number of estimators that need
-    it.
-
-    Attributes
-    ----------
-    spared_s : float, seconds
-        Processor time that repeated searches would have taken.
-    """
-
-    def __init__(self, search: Callable[..., FloatArray]) -> None:
-        self._search = search
-        self._kernels: dict[tuple[bytes, Start], tuple[FloatArray, float]] = {}
-        self.spared_s = 0.0
-
-    def kernel(
-        self, estimator: PmpEstimator, crops: FloatArray, start: Start, **options: object
-    ) -> FloatArray:
-        """Search the kernel of crops (C, H, W) from a start, or give that of before."""
-        key = crops.tobytes(), start
-        if key in self._kernels:
-            self.spared_s += self._kernels[key][1]
-        else:
-            began_s = time.process_time()
-            kernel = self._search(estimator, crops, start, **options)
-            self._kernels[key] = kernel, time.process_time() - began_s
-        return self._kernels[key][0]
-
-    def forget(self) -> None:
-        """Forget the kernels, before another photo."""
-        self._kernels.clear()
 
 
 def prepared_photos(config_file: Path) -> Iterator[Photo]:
@@ -201,18 +221,15 @@ def protocol_photos(folder: Path, protocol: Protocol, recording: Path | None) ->
         yield Photo(f"{scene}/{shake}", kind, scene, case.photo, case.psf)
 
 
-def estimators() -> dict[str, Estimator]:
+def estimators(shared: SharedSearches) -> dict[str, Estimator]:
     """Make the methods."""
-    return dict(
-        zip(
-            METHODS,
-            (PmpEstimator(), PmpCorrected(), Uncorrected(), MotDiffEstimator()),
-            strict=True,
-        )
-    )
+    methods = (Pmp(shared), PmpCorrected(shared), Uncorrected(shared), MotDiff(shared))
+    return {estimator.method: estimator for estimator in methods}
 
 
-def row_of(photo: Photo, methods: dict[str, Estimator], shared: SharedSearch) -> dict[str, object]:
+def row_of(
+    photo: Photo, methods: dict[str, Estimator], shared: SharedSearches
+) -> dict[str, object]:
     """Estimate one photo by every method."""
     grey = luminance(photo.light)
     gradients = np.concatenate([np.diff(grey, axis=axis).ravel() for axis in (0, 1)])
@@ -285,11 +302,8 @@ def drawn(
 def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
     """Append the rows that ``file`` lacks."""
     earlier = {row["name"]: row for row in read_rows([file])} if file.exists() else {}
-    shared = SharedSearch(PmpEstimator._run)
-    # the methods compared share each photo's search; type: pmp's own class is changed, for this
-    # process alone
-    PmpEstimator._run = lambda *arguments, **options: shared.kernel(*arguments, **options)
-    methods = estimators()
+    shared = SharedSearches()
+    methods = estimators(shared)
     network = load_network()
     correction = load_correction()
     with torch.no_grad(), one_thread():

@@ -21,7 +21,6 @@ on from it.
 from __future__ import annotations
 
 import argparse
-import json
 import signal
 import time
 from collections.abc import Iterator, Sequence
@@ -37,7 +36,15 @@ import numpy as np
 from cep.calibration.next_code import SURE, next_code
 from cep.files.images import read_image
 from lab.bench.coded.calibrations import codes_of_set, moved_psfs
-from lab.studies.inputs import kept_rows, photos, smooth_trace, study_parser
+from lab.studies.inputs import (
+    add_row,
+    case_key,
+    finished_cases,
+    photo_files,
+    photos,
+    smooth_trace,
+    study_parser,
+)
 from motdiff.crops import luminance, pick_crops
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
@@ -56,7 +63,6 @@ RIGHT_PX = 1.0
 CHOSEN = "open+next"  # the codes after the first are those that cep calibrate --next chooses
 LIT = 0.8  # of full scale: a light's trail at its brightest, and what is around it
 DARK = 0.01
-SUFFIXES = {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
 
 
 @dataclass(frozen=True)
@@ -127,11 +133,11 @@ def wobbled(path: Trajectory, wobble_px: float, rng: np.random.Generator) -> Tra
 
 
 @cache
-def photo_files(folder: str) -> tuple[Path, ...]:
-    files = sorted(path for path in Path(folder).rglob("*") if path.suffix.lower() in SUFFIXES)
+def scene_files(folder: str) -> list[Path]:
+    files = photo_files(Path(folder))
     if not files:
         raise SystemExit(f"error: --photos: {folder} has no photos")
-    return tuple(files)
+    return files
 
 
 @cache
@@ -142,7 +148,7 @@ def bundled() -> tuple[FloatArray, ...]:
 def scene_of(case: Case, rng: np.random.Generator) -> FloatArray:
     """Grey scene, its most textured part of the photos' size in the middle of twice that size."""
     if case.photos:
-        files = photo_files(case.photos)
+        files = scene_files(case.photos)
         grey = luminance(read_image(files[rng.integers(len(files))]))
     else:
         grey = bundled()[rng.integers(len(bundled()))]
@@ -289,19 +295,6 @@ def is_right(row: dict[str, object]) -> bool:
 # -- many cases
 
 
-def finished(file: Path | None) -> dict[str, dict[str, object]]:
-    """Figures by their case, from the whole lines of a file of results."""
-    return (
-        {key(row.pop("case")): row for row in kept_rows(file)}
-        if file is not None and file.exists()
-        else {}
-    )
-
-
-def key(case: object) -> str:
-    return json.dumps(case, sort_keys=True)
-
-
 def measured(cases: Sequence[Case], workers: int) -> Iterator[tuple[Case, dict[str, object]]]:
     if workers == 1:
         yield from ((case, figures_of(case)) for case in cases)
@@ -321,13 +314,6 @@ def measured(cases: Sequence[Case], workers: int) -> Iterator[tuple[Case, dict[s
             yield running[future], future.result()
     finally:
         pool.shutdown(cancel_futures=True)
-
-
-def keep(file: Path | None, case: Case, row: dict[str, object]) -> None:
-    if file is not None:
-        cut_off = file.exists() and file.read_bytes()[-1:] not in (b"", b"\n")
-        with file.open("a") as lines:
-            lines.write("\n" * cut_off + json.dumps({"case": asdict(case), **row}) + "\n")
 
 
 # -- tables
@@ -536,13 +522,15 @@ def case_line(case: Case, row: dict[str, object]) -> str:
 def main() -> None:
     options = parsed_options()
     cases = cases_of(options)
-    earlier = finished(options.results)
-    rows = [(case, earlier[key(asdict(case))]) for case in cases if key(asdict(case)) in earlier]
-    missing = [case for case in cases if key(asdict(case)) not in earlier]
+    earlier = finished_cases(options.results)
+    keys = {case: case_key(asdict(case)) for case in cases}
+    rows = [(case, earlier[key]) for case, key in keys.items() if key in earlier]
+    missing = [case for case, key in keys.items() if key not in earlier]
     print(f"{len(cases)} motions x sets, {len(rows)} of them known", flush=True)
     try:
         for case, row in measured(missing, options.workers):
-            keep(options.results, case, row)
+            if options.results is not None:
+                add_row(options.results, {"case": asdict(case), **row})
             rows.append((case, row))
             print(case_line(case, row), flush=True)
     except KeyboardInterrupt:

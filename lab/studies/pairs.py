@@ -15,7 +15,6 @@ finished motion is a line of that file; the same command goes on from it.
 from __future__ import annotations
 
 import argparse
-import json
 import time
 from pathlib import Path
 
@@ -28,8 +27,8 @@ from cep.optics.code import ShutterCode
 from cep.restoration.restore import restore
 from cep.restoration.together import restore_together
 from lab.bench.statistics import mean_interval
-from lab.studies.inputs import kept_rows
-from lab.studies.order import MOTIONS, Case, key, motion_of, scene_of
+from lab.studies.inputs import add_row, case_key, finished_cases, study_parser
+from lab.studies.order import MOTIONS, Case, motion_of, scene_of
 from motdiff.metrics import psnr_up_to_shift, timed_distance_px
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -143,9 +142,7 @@ def table(rows: list[tuple[str, dict[str, object]]]) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     parser.add_argument("--photos", default="", help="folder; scikit-image's when omitted")
     parser.add_argument("--gyro", default="", help="recording; noise when omitted")
     parser.add_argument("--motions", nargs="+", choices=MOTIONS, default=MOTIONS)
@@ -159,19 +156,16 @@ def main() -> None:
     shared = {
         name: getattr(options, name) for name in ("code", "photons", "read_noise", "seed")
     } | {"photos": options.photos, "gyro": options.gyro}
-    finished = {}
-    if options.results is not None and options.results.exists():
-        finished = {key(row.pop("case")): row for row in kept_rows(options.results)}
+    finished = finished_cases(options.results)
     rows = []
     for index in range(options.count):
         for motions in options.motions:
             case = {"motions": motions, "index": index, **shared}
-            row = finished.get(key(case))
+            row = finished.get(case_key(case))
             if row is None:
                 row = figures(motions, index, options)
                 if options.results is not None:
-                    with options.results.open("a", encoding="utf-8") as lines:
-                        lines.write(json.dumps({"case": case, **row}) + "\n")
+                    add_row(options.results, {"case": case, **row})
             brief = "  ".join(
                 f"{name} {value:.2f}" for name, value in row.items() if value is not None
             )
