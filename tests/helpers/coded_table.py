@@ -10,11 +10,9 @@ from lab.bench.coded.calibrations import (
     POINT,
 )
 from lab.bench.coded.designs import DESIGNS, MotionPrior, design_code
-from lab.bench.coded.protocol import (
-    CodedProtocol,
-    paths_to,
-)
+from lab.bench.coded.protocol import CodedProtocol
 from lab.bench.coded.run import Shot
+from lab.bench.coded.stages import Exposure
 from lab.bench.table_io import Provenance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.trajectory import Trajectory
@@ -44,7 +42,7 @@ TINY = CodedProtocol(
     quick_steps=1000,
     quick_photons=(),
 )
-CLEAN = Camera(photons_full_scale=1e9, read_noise_e=0.0, bits=16).to_dict()
+CLEAN = Camera(photons_full_scale=1e9, read_noise_e=0.0, bits=16)
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11], [7, 16]])
 LOPSIDED = "1101000101101111"
 
@@ -71,15 +69,10 @@ def shown(
 ):
     return {
         "scene": blocks(side),
-        "motion": paths_to([motion], [1.0]),
-        "assumed": assumed and paths_to([assumed], [1.0]),
-        "bits": bits,
-        "borders": borders,
-        "light_true": light_true,
+        "exposure": Exposure(motion, bits, light_true, camera, borders, seed=0),
+        "assumed": assumed,
         "restoration": "wiener",
         "border_rounds": 10,
-        "camera": camera,
-        "seed": 0,
         **other,
     }
 

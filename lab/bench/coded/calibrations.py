@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,7 +19,7 @@ from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import shifted_psf
-from lab.bench.coded.protocol import paths_from, paths_to
+from lab.bench.coded.protocol import paths_to
 from motdiff.crops import luminance, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
@@ -179,11 +179,11 @@ def motion_from_codes(
     *,
     side_px: int,
     gamma: Literal["linear", "srgb"],
-    motion: str,
+    motion: Trajectory,
     codes: str,
     borders: str,
     light_true: bool,
-    camera: Mapping[str, Any],
+    camera: Camera,
     seed: int,
 ) -> dict[str, float | str]:
     """Calibrate by coded photos of the most textured part of a photo.
@@ -195,14 +195,12 @@ def motion_from_codes(
         Of the scene.
     gamma : {"linear", "srgb"}
         As of :class:`lab.bench.datasets.Cut`.
-    motion : str
-        True path, of :func:`lab.bench.coded.protocol.paths_to`.
+    motion : Trajectory
     codes : str
         Of :func:`set_of_codes`.
     borders, light_true
         As of :func:`calibration_photos`.
-    camera : mapping
-        Of :meth:`cep.optics.camera.Camera.to_dict`.
+    camera : Camera
     seed : int
 
     Returns
@@ -212,25 +210,22 @@ def motion_from_codes(
     """
     from motdiff.estimators.coded.estimator import CodedEstimator
 
-    truth = paths_from(motion)[0][0]
     bits = codes.split()
     photos = calibration_photos(
         _textured(photo, side_px, gamma),
-        truth,
+        motion,
         bits,
-        camera=Camera.from_dict(camera),
+        camera=camera,
         rng=np.random.default_rng([seed, 7]),
         borders=borders,
         light_true=light_true,
     )
     started = time.process_time()
     estimate = CodedEstimator(bits, seed=seed).estimate_from(photos)
-    return _figures(estimate, truth, time.process_time() - started)
+    return _figures(estimate, motion, time.process_time() - started)
 
 
-def motion_from_light(
-    *, motion: str, camera: Mapping[str, Any], seed: int
-) -> dict[str, float | str]:
+def motion_from_light(*, motion: Trajectory, camera: Camera, seed: int) -> dict[str, float | str]:
     """Calibrate by a point light's trail through Raskar's code; as :func:`motion_from_codes`
     otherwise.
 
@@ -238,17 +233,16 @@ def motion_from_light(
     """
     from motdiff.estimators.coded.trail_estimator import TrailEstimator
 
-    truth = paths_from(motion)[0][0]
     rng = np.random.default_rng([seed, 8])
     codes = codes_of_set(_LIGHT_CODE, 0)
-    (psf,) = moved_psfs([truth], codes, rng.uniform(-_SHIFT_PX, _SHIFT_PX, (1, 2)))
+    (psf,) = moved_psfs([motion], codes, rng.uniform(-_SHIFT_PX, _SHIFT_PX, (1, 2)))
     side_px = len(psf) + _AROUND_PX
     night = np.full((side_px, side_px), _DARK)
     night[side_px // 2, side_px // 2] += _LIT / psf.max()
-    photo = capture(night, psf, camera=Camera.from_dict(camera), rng=rng)
+    photo = capture(night, psf, camera=camera, rng=rng)
     started = time.process_time()
     estimate = TrailEstimator(codes, seed=seed).estimate(np.clip(photo, 0, 1))
-    return _figures(estimate, truth, time.process_time() - started)
+    return _figures(estimate, motion, time.process_time() - started)
 
 
 def _textured(photo: Path, side_px: int, gamma: Literal["linear", "srgb"]) -> FloatArray:

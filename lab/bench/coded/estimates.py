@@ -10,11 +10,7 @@ from lab.bench.coded.calibrations import (
     POINT,
 )
 from lab.bench.coded.designs import DESIGNS, MotionPrior, design_of
-from lab.bench.coded.protocol import (
-    CodedProtocol,
-    paths_from,
-    paths_to,
-)
+from lab.bench.coded.protocol import CodedProtocol, paths_from
 from lab.evaluation.quadratic_limits import nearest_quadratic
 from lab.jobs.cells import Figure
 from motdiff.trajectory import Trajectory
@@ -51,6 +47,13 @@ def motion_prior(
     return MotionPrior(*paths_from(str(figures["paths"]))) if figures else None
 
 
+def restored_by_path(protocol: CodedProtocol, design: str) -> bool:
+    """Whether the restoration is given a path, and not the true PSF or a kernel."""
+    if protocol.restored_by == "path":
+        return not design_of(design).uses_truth  # or else its code is made for one direction
+    return protocol.restored_by == "estimate" and design_of(design).path != "true"
+
+
 def assumed_path(
     protocol: CodedProtocol,
     design: str,
@@ -58,21 +61,15 @@ def assumed_path(
     estimates: Estimates,
     photo: str,
     index: int,
-) -> str | None:
-    """Path given to the restoration; None when it has the true PSF or a kernel, empty when the
-    estimate failed.
-    """
-    if protocol.restored_by in ("psf", "blind") or design_of(design).path == "true":
-        return None
+) -> Trajectory | None:
+    """Path given to the restoration; None where its estimate failed."""
     if protocol.restored_by == "path":
-        if design_of(design).uses_truth:
-            return None  # its code is made for one direction
-        return paths_to([replace(truth, direction="unknown")], [1.0])
+        return replace(truth, direction="unknown")
     path = _restored_by(design)
     if path == "parametric oracle":
-        return paths_to([nearest_quadratic(truth).trajectory()], [1.0])
+        return nearest_quadratic(truth).trajectory()
     figures = estimates[path, photo, index]
-    return str(figures["paths"]) if figures else ""
+    return paths_from(str(figures["paths"]))[0][0] if figures else None
 
 
 def _restored_by(design: str) -> str:

@@ -10,11 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cep.files.foreign_text import plot_text
-from cep.optics.code import ShutterCode
 from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, new_figure, show_photo
 from cep.plots.codes import mtf_curve
 from lab.bench.coded.designs import design_of
-from lab.bench.coded.protocol import paths_from
 from lab.bench.coded.stages import pictures_of
 from lab.bench.inset import show_inset
 from motdiff.psf_frame import PSF_PX
@@ -55,8 +53,8 @@ def coded_figure(
     for column, name in enumerate(names, 1):
         arguments = pictured[name]
         pictures = pictures_of(**arguments)
-        code = ShutterCode(arguments["bits"])
-        motion = paths_from(arguments["motion"])[0][0]
+        exposure = arguments["exposure"]
+        code, motion = exposure.code, exposure.motion
         if column == 1:  # every design has the same photo and motion
             _show(axes[0, 0], pictures.target, linear=linear)
             axes[0, 0].set_title(
@@ -66,7 +64,7 @@ def coded_figure(
             )
             show_inset(axes[0, 0], motion.psf(PSF_PX), share=_INSET, cmap="inferno")
         light_true = (
-            pictures.photo / max(code.duty, 1e-3) if arguments["light_true"] else pictures.photo
+            pictures.photo / max(code.duty, 1e-3) if exposure.light_true else pictures.photo
         )
         _show(axes[0, column], light_true, linear=linear)
         _show(axes[1, column], pictures.restored, linear=linear)

@@ -24,14 +24,14 @@ from lab.bench.coded.estimates import (
     assumed_path,
     kinds_needed,
     motion_prior,
+    restored_by_path,
 )
 from lab.bench.coded.protocol import (
     CodedProtocol,
     class_motions,
     drawn_motions,
-    paths_to,
 )
-from lab.bench.coded.stages import choose_code, kernel_of, motion_of, photo_of
+from lab.bench.coded.stages import Exposure, choose_code, kernel_of, motion_of, photo_of
 from lab.bench.coded.versions import (
     code_version,
     kernel_version,
@@ -170,14 +170,13 @@ class _Exposed:
         self.protocol = protocol
         self.photos = photos
         self.truths = drawn_motions(protocol)
-        self.motions = [paths_to([path], [1.0]) for path in self.truths]
         self.pairs = [(photo, index) for photo in photos for index in range(len(self.truths))]
         self.places: list[Place] = [
             (photo, index, level) for level in protocol.levels for photo, index in self.pairs
         ]
 
-    def scene(self, photo: str, index: int) -> dict[str, Any]:
-        """Arguments that a cell has of a photo and motion."""
+    def scene(self, photo: str) -> dict[str, Any]:
+        """Arguments that a cell has of a photo."""
         return {
             "photo": self.photos[photo],
             "cut": Cut(
@@ -185,9 +184,6 @@ class _Exposed:
                 _gamma(self.protocol),
                 (self.protocol.seed, 5, *photo.encode()),
             ),
-            "motion": self.motions[index],
-            "borders": self.protocol.borders,
-            "seed": _seed(self.protocol, photo, index),
         }
 
 
@@ -205,9 +201,13 @@ def _estimates(
         for photo, index in exposed.pairs:
             name = ("motion", kind, photo, str(index))
             if kind in ESTIMATORS:
-                camera = exposed.protocol.calibration_camera.to_dict()
-                arguments = exposed.scene(photo, index)
-                arguments |= {"method": ESTIMATORS[kind], "camera": camera}
+                arguments = exposed.scene(photo) | {
+                    "motion": exposed.truths[index],
+                    "method": ESTIMATORS[kind],
+                    "borders": exposed.protocol.borders,
+                    "camera": exposed.protocol.calibration_camera,
+                    "seed": _seed(exposed.protocol, photo, index),
+                }
                 cells.append(Cell(name, motion_of, arguments, version=version))
             else:
                 scene = scenes[index % len(scenes)]
@@ -229,8 +229,8 @@ def _calibration(
     """
     protocol = exposed.protocol
     arguments = {
-        "motion": exposed.motions[index],
-        "camera": protocol.calibration_camera.to_dict(),
+        "motion": exposed.truths[index],
+        "camera": protocol.calibration_camera,
         "seed": _seed(protocol, "calibration", index),
     }
     if codes is None:
@@ -275,7 +275,7 @@ def _chosen_codes(
                     "chips": protocol.chips,
                     "open_range": protocol.open_range,
                     "objective": protocol.objective,
-                    "camera": protocol.camera(light).to_dict(),
+                    "camera": protocol.camera(light),
                     "steps": protocol.steps,
                     "seed": protocol.seed + (0 if of_class else index),
                 }
@@ -295,10 +295,15 @@ def _shots(
     protocol = exposed.protocol
     exposures = {}
     for (design, photo, index, level), code in bits.items():
-        exposures[design, photo, index, level] = exposed.scene(photo, index) | {
-            "bits": code,
-            "light_true": bool(protocol.photons),
-            "camera": protocol.camera(level).to_dict(),
+        exposures[design, photo, index, level] = exposed.scene(photo) | {
+            "exposure": Exposure(
+                motion=exposed.truths[index],
+                bits=code,
+                light_true=bool(protocol.photons),
+                camera=protocol.camera(level),
+                borders=protocol.borders,
+                seed=_seed(protocol, photo, index),
+            )
         }
     kernels: Mapping[tuple[str, ...], Mapping[str, Figure]] = {}
     if protocol.restored_by == "blind":
@@ -315,9 +320,14 @@ def _shots(
     for row, exposure in exposures.items():
         design, photo, index, _ = row
         kernel = kernels.get(_cell_name("kernel", *row))
-        assumed = assumed_path(protocol, design, exposed.truths[index], estimates, photo, index)
-        if assumed == "" or (protocol.restored_by == "blind" and kernel is None):
+        if protocol.restored_by == "blind" and kernel is None:
             continue
+        assumed = None
+        if restored_by_path(protocol, design):
+            truth = exposed.truths[index]
+            assumed = assumed_path(protocol, design, truth, estimates, photo, index)
+            if assumed is None:
+                continue
         arguments = exposure | {
             "assumed": assumed,
             "kernel": kernel and kernel["psf"],
@@ -331,8 +341,7 @@ def _shots(
         if figures := photo_figures.get(cell.name):
             kernel = kernels.get(_cell_name("kernel", *row))
             kernel_mnc = {"kernel_mnc": kernel["mnc"]} if kernel else {}
-            arguments = dict(cell.arguments)
-            shots.append(Shot(*row, {**figures, **kernel_mnc}, arguments["bits"], arguments))
+            shots.append(Shot(*row, {**figures, **kernel_mnc}, bits[row], cell.arguments))
     return tuple(shots)
 
 

@@ -6,7 +6,6 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -40,15 +39,54 @@ _ZERO = 1e-9
 _CROP_PX = 32  # left out of every comparison: restored borders lean on a guess
 
 
-def take_photo(
-    scene: ArrayLike,
-    motion: str,
-    assumed: str | None,
-    *,
-    bits: str,
-    light_true: bool,
-    **options: Any,
-) -> dict[str, float]:
+@dataclass(frozen=True)
+class Exposure:
+    """How a scene is photographed: the true motion, the code, the light and the sensor.
+
+    Attributes
+    ----------
+    motion : Trajectory
+    bits : str
+    light_true : bool
+        Whether the photo has the code's light, or as much as with an open shutter.
+    camera : Camera
+    borders : {"real", "symmetric"}
+    seed : int
+    """
+
+    motion: Trajectory
+    bits: str
+    light_true: bool
+    camera: Camera
+    borders: str
+    seed: int
+
+    @property
+    def code(self) -> ShutterCode:
+        """The code that the shutter plays."""
+        return ShutterCode(self.bits)
+
+    @property
+    def gain(self) -> float:
+        """Light of the photo, relative to what comes through the code."""
+        return 1.0 if self.light_true else 1 / self.code.duty
+
+    def psf(self) -> FloatArray:
+        """PSF of the motion through the code, (64, 64); its sum is the share of open chips."""
+        return coded_psf(self.motion, self.code, PSF_PX)
+
+    def photo(self, scene: ArrayLike) -> FloatArray:
+        """Take the photo of a scene (H, W), linear light 0..1."""
+        return capture(
+            np.asarray(scene, dtype=np.float64),
+            self.gain * self.psf(),
+            camera=self.camera,
+            rng=np.random.default_rng([self.seed, 3]),
+            borders=self.borders,
+        )
+
+
+def take_photo(scene: ArrayLike, exposure: Exposure, **restored_by: Any) -> dict[str, float]:
     """Compare the restored photo of :func:`photographed`, whose parameters these are.
 
     Returns
@@ -57,10 +95,9 @@ def take_photo(
     ``reversed_noise_gain_db`` (along the true motion and against it, at the light that the photo
     has; infinite on a straight, even motion whose MTF has a zero), and ``min_mtf`` (light-true)
     """
-    photo = photographed(scene, motion, assumed, bits=bits, light_true=light_true, **options)
-    along, against = _both_ways(motion, bits)
-    code = ShutterCode(bits)
-    lent_db = 0.0 if light_true else 20 * math.log10(code.duty)
+    photo = photographed(scene, exposure, **restored_by)
+    along, against = _both_ways(paths_to([exposure.motion], [1.0]), exposure.bits)
+    lent_db = 0.0 if exposure.light_true else 20 * math.log10(exposure.code.duty)
     psnr_db, ssim = psnr_ssim_up_to_shift(photo.restored, photo.target, crop_px=_CROP_PX)
     return {
         "psnr_db": psnr_db,
@@ -101,56 +138,41 @@ class Taken:
 
 def photographed(
     scene: ArrayLike,
-    motion: str,
-    assumed: str | None,
+    exposure: Exposure,
     *,
+    assumed: Trajectory | None = None,
     kernel: str | None = None,
-    bits: str,
-    borders: str,
-    light_true: bool,
     restoration: str,
     border_rounds: int,
-    camera: Mapping[str, Any],
-    seed: int,
 ) -> Taken:
     """Take a coded photo along the true motion, and restore it.
 
     Parameters
     ----------
     scene : (H, W) array_like, linear light 0..1
-    motion : str
-        True path.
-    assumed : str or None
-        Path given to the restoration, of unknown direction unless stated otherwise; None: the true
-        PSF is given.
+    exposure : Exposure
+    assumed : Trajectory, optional
+        Path given to the restoration, of unknown direction unless stated otherwise.
     kernel : str, optional
-        Kernel given to the restoration instead, as of :func:`find_kernel`.
-    bits : str
-    borders : {"real", "symmetric"}
-    light_true : bool
-        Whether the photo has the code's light, or as much as with an open shutter.
+        Kernel given instead, as of :func:`find_kernel`. Without either, the true PSF is given.
     restoration : str
         The Wiener filter has the camera's noise; a function of the user's own has the photo and
         the PSF alone.
     border_rounds : int
         Rounds of reblurring outside the photo's borders.
-    camera : mapping
-    seed : int
     """
-    truth = paths_from(motion)[0][0]
-    code = ShutterCode(bits)
-    psf = coded_psf(truth, code, PSF_PX)
-    scale = 1.0 if light_true else 1 / code.duty
+    code = exposure.code
+    psf = exposure.psf()
+    scale = exposure.gain
     light = np.asarray(scene, dtype=np.float64)
-    sensor = Camera.from_dict(camera)
-    photo = _photo_through(light, scale * psf, borders=borders, camera=sensor, seed=seed)
+    photo = exposure.photo(light)
     rest_px = np.zeros(2)
     if kernel is not None:
         restoration_psf = scale * code.duty * laid_on(psf, psf_from_text(kernel))
     else:
         estimate = psf
         if assumed is not None:
-            estimate = _assumed_psf(photo / scale, paths_from(assumed)[0][0], code)
+            estimate = _assumed_psf(photo / scale, assumed, code)
         # A photo does not determine the position of its scene: on a straight path a short exposure
         # at the end has the PSF of one at the start, displaced. Restored with either, the scene
         # has the same quality at another position.
@@ -162,32 +184,15 @@ def photographed(
     if not is_reference(restoration):
         options["border_rounds"] = border_rounds
     if restoration == "wiener":
-        options["camera"] = sensor
+        options["camera"] = exposure.camera
     restored = restore(photo, restoration_psf, method=restoration, **options).image
     if rest_px.any():
         restored = ndimage.shift(restored, rest_px, order=5, mode="nearest")
     restored = np.clip(restored, 0, 1)
-    return Taken(photo, psf, restored, visible(light, PSF_PX, borders=borders))
+    return Taken(photo, psf, restored, visible(light, PSF_PX, borders=exposure.borders))
 
 
-def _photo_through(
-    scene: FloatArray, psf: FloatArray, *, borders: str, camera: Camera, seed: int
-) -> FloatArray:
-    return capture(
-        scene, psf, camera=camera, rng=np.random.default_rng([seed, 3]), borders=borders
-    )
-
-
-def find_kernel(
-    scene: ArrayLike,
-    motion: str,
-    *,
-    bits: str,
-    borders: str,
-    light_true: bool,
-    camera: Mapping[str, Any],
-    seed: int,
-) -> dict[str, float | str]:
+def find_kernel(scene: ArrayLike, exposure: Exposure) -> dict[str, float | str]:
     """Find the kernel in the photo of :func:`photographed` as ``cep deblur`` does.
 
     Returns
@@ -195,24 +200,14 @@ def find_kernel(
     dict with ``psf`` of sum 1 (:func:`lab.bench.psf_text.psf_to_text`), ``mnc`` (sub-pixel),
     ``confidence``, ``cpu_s``
     """
-    truth = paths_from(motion)[0][0]
-    code = ShutterCode(bits)
-    psf = coded_psf(truth, code, PSF_PX)
-    scale = 1.0 if light_true else 1 / code.duty
-    photo = _photo_through(
-        np.asarray(scene, dtype=np.float64),
-        scale * psf,
-        borders=borders,
-        camera=Camera.from_dict(camera),
-        seed=seed,
-    )
+    photo = exposure.photo(scene)
     started = time.process_time()
     with one_thread():
         # a photo of as much light as through an open shutter has its kernel's sum
-        blind = find_psf(photo, ShutterCode(bits if light_true else "1"))
+        blind = find_psf(photo, exposure.code if exposure.light_true else ShutterCode("1"))
     return {
         "psf": psf_to_text(blind.psf),
-        "mnc": mnc_subpixel(blind.psf, psf),
+        "mnc": mnc_subpixel(blind.psf, exposure.psf()),
         "confidence": blind.confidence,
         "cpu_s": time.process_time() - started,
     }
@@ -240,7 +235,7 @@ def choose_code(
     chips: int,
     open_range: tuple[int, int],
     objective: str,
-    camera: Mapping[str, Any],
+    camera: Camera,
     steps: int,
     seed: int,
 ) -> dict[str, float | str]:
@@ -252,7 +247,7 @@ def choose_code(
         chips=chips,
         open_range=open_range,
         objective=objective,
-        camera=Camera.from_dict(camera),
+        camera=camera,
         steps=steps,
         rng=np.random.default_rng([seed, 2]),
     )
@@ -261,11 +256,11 @@ def choose_code(
 
 def estimate_motion(
     scene: ArrayLike,
-    motion: str,
+    motion: Trajectory,
     *,
     method: str,
     borders: str,
-    camera: Mapping[str, Any],
+    camera: Camera,
     seed: int,
 ) -> dict[str, float | str]:
     """Take the calibration photo, shutter open, and estimate the motion from it.
@@ -273,13 +268,11 @@ def estimate_motion(
     Parameters
     ----------
     scene : (H, W) array_like, linear light 0..1
-    motion : str
-        True path, of :func:`lab.bench.coded.protocol.paths_to`.
+    motion : Trajectory
     method : str
         Name of an estimator of :mod:`lab.evaluation.methods`.
     borders : {"real", "symmetric"}
-    camera : mapping
-        Of :meth:`cep.optics.camera.Camera.to_dict`.
+    camera : Camera
     seed : int
 
     Returns
@@ -289,11 +282,8 @@ def estimate_motion(
     from lab.evaluation.methods import named_estimators
     from motdiff.estimators.description import as_estimate
 
-    truth = paths_from(motion)[0][0]
     rng = np.random.default_rng([seed, 1])
-    photo = capture(
-        scene, truth.psf(PSF_PX), camera=Camera.from_dict(camera), rng=rng, borders=borders
-    )
+    photo = capture(scene, motion.psf(PSF_PX), camera=camera, rng=rng, borders=borders)
     estimator = named_estimators([method])[method]
     started = time.process_time()
     result = estimator.estimate(np.clip(photo, 0, 1))
@@ -302,7 +292,7 @@ def estimate_motion(
     path = estimate.trajectories[0]
     return {
         "paths": paths_to(estimate.trajectories, estimate.weights),
-        "mnc": mnc_subpixel(path.psf(path.frame_size(PSF_PX)), truth.psf(PSF_PX)),
+        "mnc": mnc_subpixel(path.psf(path.frame_size(PSF_PX)), motion.psf(PSF_PX)),
         "cpu_s": seconds,
     }
 

@@ -13,7 +13,6 @@ from lab.bench.coded.calibrations import (
 )
 from lab.bench.coded.protocol import (
     paths_from,
-    paths_to,
 )
 from motdiff.metrics import timed_distance_px
 from motdiff.psf_frame import centroid_px
@@ -60,7 +59,7 @@ def test_a_point_light_through_a_code_shows_the_path_and_its_direction():
     arc = Trajectory.from_samples(
         10 * np.column_stack([np.sin(angle), 1 - np.cos(angle)]), direction="known"
     )
-    found = motion_from_light(motion=paths_to([arc], [1.0]), camera=Camera().to_dict(), seed=0)
+    found = motion_from_light(motion=arc, camera=Camera(), seed=0)
     path = paths_from(found["paths"])[0][0]
     assert path.direction == "known"
     assert found["error_px"] == pytest.approx(timed_distance_px(path, arc), abs=1e-3)

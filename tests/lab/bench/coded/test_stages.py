@@ -15,7 +15,6 @@ from cep.restoration.wiener import wiener
 from lab.bench.coded.designs import MotionPrior, design_code
 from lab.bench.coded.protocol import (
     paths_from,
-    paths_to,
 )
 from lab.bench.coded.stages import estimate_motion, photographed, take_photo
 from lab.bench.psf_text import psf_to_text
@@ -65,7 +64,7 @@ def test_a_coded_photo_has_the_light_that_came_through():
     np.testing.assert_allclose(
         true.restored, equal.restored, atol=0.02
     )  # but for rounding to code values
-    dim = Camera(photons_full_scale=300.0, read_noise_e=5.0, black_level=0.1).to_dict()
+    dim = Camera(photons_full_scale=300.0, read_noise_e=5.0, black_level=0.1)
     short = {"bits": "1010010000000000", "camera": dim}
     dark, lit = (
         take_photo(**shown(BENT, light_true=flag, **short))["psnr_db"] for flag in (True, False)
@@ -101,7 +100,7 @@ def test_with_the_true_psf_and_no_noise_the_oracles_code_restores_far_better_tha
 def test_a_hidden_direction_is_found(light_true):
     """Restored by a path of unknown direction it is as good as by the true PSF, whichever way the
     camera ran."""
-    options = {"light_true": light_true, "camera": Camera(photons_full_scale=1e6).to_dict()}
+    options = {"light_true": light_true, "camera": Camera(photons_full_scale=1e6)}
     for truth in (BENT, BENT.reversed()) if light_true else (BENT.reversed(),):
         told = take_photo(**shown(truth, **options))["psnr_db"]
         found = take_photo(**shown(truth, assumed=BENT, **options))["psnr_db"]
@@ -126,7 +125,7 @@ def test_a_scene_that_is_merely_displaced_is_as_good(length_px, lost_db):
     options = {
         "bits": "0" * 12 + "1100",
         "scene": scene,
-        "camera": Camera(photons_full_scale=1e5).to_dict(),
+        "camera": Camera(photons_full_scale=1e5),
     }
     told = take_photo(**shown(straight, **options))["psnr_db"]
     backwards = replace(straight.reversed(), direction="known")
@@ -159,7 +158,7 @@ def test_noise_gain_is_that_of_the_light_the_photo_has():
 
 def test_the_wiener_filter_is_told_the_cameras_noise():
     dim = Camera(photons_full_scale=300.0, read_noise_e=5.0, black_level=0.1)
-    arguments = shown(BENT, camera=dim.to_dict())
+    arguments = shown(BENT, camera=dim)
     taken = photographed(**arguments)
     told = wiener(taken.photo, taken.psf, camera=dim, border_rounds=10)
     np.testing.assert_array_equal(taken.restored, np.clip(told, 0, 1))
@@ -167,7 +166,7 @@ def test_the_wiener_filter_is_told_the_cameras_noise():
 
 def test_motion_is_estimated_from_the_uncoded_photo(guesses):
     arguments = {"method": "motdiff", "borders": "real", "camera": CLEAN, "seed": 0}
-    found = estimate_motion(blocks(159), paths_to([GUESS], [1.0]), **arguments)
+    found = estimate_motion(blocks(159), GUESS, **arguments)
     assert found["mnc"] == pytest.approx(1.0)
     assert found["cpu_s"] >= 0
     paths, weights = paths_from(found["paths"])
@@ -177,7 +176,7 @@ def test_motion_is_estimated_from_the_uncoded_photo(guesses):
     assert photo.shape == (96, 96)
     open_shutter = photographed(**shown(GUESS, bits="1", borders="real", side=159)).photo
     np.testing.assert_allclose(photo, open_shutter, atol=3e-4)
-    assert estimate_motion(blocks(159), paths_to([BENT], [1.0]), **arguments)["mnc"] < 0.9
+    assert estimate_motion(blocks(159), BENT, **arguments)["mnc"] < 0.9
 
 
 def test_restored_with_its_kernel_a_photo_is_as_with_its_psf():
