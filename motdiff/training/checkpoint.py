@@ -9,11 +9,12 @@ from pathlib import Path
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from motdiff.weights_io import read_card, write_with_card
 
 _SCHEMA = "motdiff.checkpoint/2"
+_MOMENTS = ("exp_avg", "exp_avg_sq")
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,18 @@ class Checkpoint:
             if name.startswith(prefix)
         }
 
+    def restore_adam(self, adam: torch.optim.Optimizer, network: nn.Module) -> None:
+        """Give Adam the moments that it had of a network's parameters."""
+        for name, parameter in network.named_parameters():
+            moments = {
+                # copied into the parameter's own memory layout (channels last), as before the stop
+                key: torch.empty_like(parameter).copy_(self.tensors[f"adam.{key}.{name}"])
+                for key in _MOMENTS
+                if f"adam.{key}.{name}" in self.tensors  # not before the first update
+            }
+            if moments:
+                adam.state[parameter] = {"step": torch.tensor(float(self.step)), **moments}
+
 
 def write_checkpoint(file: Path | str, checkpoint: Checkpoint) -> None:
     """Write a checkpoint; the old one stays until the new one is complete."""
@@ -70,3 +83,13 @@ def read_checkpoint(file: Path | str, *, device: str | torch.device = "cpu") -> 
         return Checkpoint(card["step"], tensors, card["config"], card["seconds"])
     except (KeyError, TypeError, SafetensorError) as error:
         raise ValueError(f"{file}: is no whole {_SCHEMA} checkpoint: {error}") from error
+
+
+def adam_moments(adam: torch.optim.Optimizer, network: nn.Module) -> dict[str, Tensor]:
+    """Adam's moments of a network's parameters, by their names in a checkpoint."""
+    return {
+        f"adam.{key}.{name}": adam.state[parameter][key]
+        for name, parameter in network.named_parameters()
+        if parameter in adam.state
+        for key in _MOMENTS
+    }

@@ -29,7 +29,7 @@ from motdiff.network.diffusion import (
 )
 from motdiff.network.sampling import PathSamples, sample_paths
 from motdiff.psf_frame import PSF_PX
-from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from motdiff.training.checkpoint import Checkpoint, adam_moments, read_checkpoint, write_checkpoint
 from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch, BatchSource, seed_of
 from motdiff.training.weight_files import PHOTO_PARTS, load_start
@@ -186,13 +186,7 @@ class Trainer:
             return
         tensors = {f"model.{name}": tensor for name, tensor in self.network.state_dict().items()}
         tensors |= {f"ema.{name}": tensor for name, tensor in self.average.state_dict().items()}
-        for name, parameter in self.network.named_parameters():
-            state = self._adam.state.get(parameter, {})
-            tensors |= {
-                f"adam.{key}.{name}": state[key]
-                for key in ("exp_avg", "exp_avg_sq")
-                if key in state
-            }
+        tensors |= adam_moments(self._adam, self.network)
         tensors["loss"] = torch.tensor(self.loss, dtype=torch.float64)
         write_checkpoint(file, Checkpoint(self.step, tensors, asdict(self.config), self.seconds))
 
@@ -208,16 +202,7 @@ class Trainer:
             raise ValueError(
                 f"{file}: its checkpoint belongs to a network of another configuration"
             ) from error
-        exp_avg = checkpoint.under("adam.exp_avg.")
-        exp_avg_sq = checkpoint.under("adam.exp_avg_sq.")
-        for name, parameter in self.network.named_parameters():
-            if name in exp_avg:
-                # copied into the parameter's own memory layout (channels last), as before the stop
-                self._adam.state[parameter] = {
-                    "step": torch.tensor(float(checkpoint.step)),
-                    "exp_avg": torch.empty_like(parameter).copy_(exp_avg[name]),
-                    "exp_avg_sq": torch.empty_like(parameter).copy_(exp_avg_sq[name]),
-                }
+        checkpoint.restore_adam(self._adam, self.network)
         self.step = checkpoint.step
         self.seconds = checkpoint.seconds
         self.loss = float(checkpoint.tensors.get("loss", math.nan))  # earlier versions lack it

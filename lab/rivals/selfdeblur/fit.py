@@ -11,11 +11,10 @@ from torch.nn import functional
 
 from lab.rivals.selfdeblur.config import SelfDeblurConfig
 from lab.rivals.selfdeblur.generators import ImageGenerator, KernelGenerator
-from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
+from motdiff.training.checkpoint import Checkpoint, adam_moments, read_checkpoint, write_checkpoint
 from motdiff.training.simulation import blurred
 
 _INPUT_SCALE = 0.1
-_MOMENTS = ("exp_avg", "exp_avg_sq")
 _SSIM_WINDOW_PX = 11
 _SSIM_SIGMA_PX = 1.5
 _C1 = 0.01**2
@@ -100,9 +99,7 @@ class JointFit:
         An older one there stays whole until this one is.
         """
         tensors = {f"model.{name}": tensor for name, tensor in self._networks.state_dict().items()}
-        for name, parameter in self._networks.named_parameters():
-            state = self._adam.state.get(parameter, {})
-            tensors |= {f"adam.{key}.{name}": state[key] for key in _MOMENTS if key in state}
+        tensors |= adam_moments(self._adam, self._networks)
         tensors["generator"] = self._generator.get_state()
         write_checkpoint(file, Checkpoint(self.iteration, tensors, asdict(self._config), cpu_s))
 
@@ -121,20 +118,10 @@ class JointFit:
         checkpoint = read_checkpoint(file, device=self._photo.device)
         if checkpoint is None:
             return None
-        tensors = checkpoint.tensors
         try:
             self._networks.load_state_dict(checkpoint.under("model."))
-            for name, parameter in self._networks.named_parameters():
-                if f"adam.exp_avg.{name}" in tensors:  # not before the first update
-                    moments = {
-                        key: torch.empty_like(parameter).copy_(tensors[f"adam.{key}.{name}"])
-                        for key in _MOMENTS
-                    }
-                    self._adam.state[parameter] = {
-                        "step": torch.tensor(float(checkpoint.step)),
-                        **moments,
-                    }
-            self._generator.set_state(tensors["generator"].cpu())
+            checkpoint.restore_adam(self._adam, self._networks)
+            self._generator.set_state(checkpoint.tensors["generator"].cpu())
         except (RuntimeError, KeyError) as error:
             raise ValueError(
                 f"{file}: its checkpoint belongs to generators of other sizes; remove it"
