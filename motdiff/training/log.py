@@ -97,8 +97,8 @@ class RunLog:
         validated = False
         for line in lines:
             values = next(csv.reader([line]), [])
-            # cut short by a kill, or after the checkpoint
-            if len(values) < len(_FIELDS) or int(values[0]) > step:
+            cut_short = len(values) < len(_FIELDS) or not line.endswith("\n")  # by a kill
+            if cut_short or int(values[0]) > step:
                 continue
             validation = int(values[0]) == step and values[-1] != ""
             if not (validation and between):

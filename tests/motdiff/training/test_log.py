@@ -120,10 +120,12 @@ def test_a_resumed_log_holds_nothing_that_will_be_done_again(tmp_path):
     steps(log, range(101, 171))
     log.validated(170, 0.6, loss=1.0)  # where the piece ended
     whole = (tmp_path / "log.csv").read_bytes()
-    with (tmp_path / "log.csv").open("a") as file:
-        file.write("200,32")  # cut short by a kill
-    assert RunLog(tmp_path, steps=1000).resume(170, between=False)
-    assert (tmp_path / "log.csv").read_bytes() == whole
+    # cut short by a kill, also after its last comma
+    for row in ("160,25", "160,2560,0.5,0.5,0.5,1,100,", "160,2560,0.5,0.5,0.5,1,100,\r"):
+        with (tmp_path / "log.csv").open("a", newline="") as file:
+            file.write(row)
+        assert RunLog(tmp_path, steps=1000).resume(170, between=False)
+        assert (tmp_path / "log.csv").read_bytes() == whole
     assert not RunLog(tmp_path, steps=1000).resume(170, between=True)
     assert [row["step"] for row in read_log(tmp_path / "log.csv")] == [50, 100, 100, 150]
     assert not RunLog(tmp_path, steps=1000).resume(120, between=True)
