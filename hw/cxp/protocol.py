@@ -242,7 +242,7 @@ class Stored:
         return self.ticks + Fraction(self.fraction, 65536)
 
     def difference(self, stored: Stored) -> str:
-        """Describe how `other` differs, in a few words; empty when they are equal."""
+        """Describe how ``stored`` differs, in a few words; empty when they are equal."""
         if self.chip_ticks != stored.chip_ticks:
             return (
                 f"chip of {float(stored.chip_ticks):.7g} ticks, not {float(self.chip_ticks):.7g}"

@@ -117,8 +117,6 @@ class ParametricEstimator:
     """
 
     def __init__(self, *, weights: Path | str | None = None) -> None:
-        from lab.rivals.parametric import load_path_network
-
         self._network = load_path_network(PATH_WEIGHTS if weights is None else weights)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
