@@ -16,7 +16,7 @@ from cep.search.code_search import SearchOptions, search_code
 from cep.search.cost import CodeCost
 from cep.search.problem import Scenario, SearchProblem
 from lab.class_code.motions import class_scenarios
-from lab.trainings.dce.code import DCE_CODE
+from lab.trainings.dce.shipped_code import DCE_CODE
 from motdiff.trajectory import Trajectory
 
 

@@ -43,7 +43,7 @@ _CHOSEN = {
     "random": (_BASELINES,),
     "raskar-52": (_PUBLISHED,),
     "dnf": _SEARCHED,
-    "dce": ("lab.trainings.dce.code",),
+    "dce": ("lab.trainings.dce.shipped_code",),
 }
 
 

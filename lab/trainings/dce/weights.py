@@ -23,7 +23,7 @@ from motdiff.weights_io import filled, halved, write_with_card
 
 SCHEMA = "cep.dce/1"
 WEIGHTS = Path(__file__).with_name("dce.safetensors")
-"""The weights in this folder; their code is :data:`lab.trainings.dce.code.DCE_CODE`."""
+"""The weights in this folder; their code is :data:`lab.trainings.dce.shipped_code.DCE_CODE`."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from lab.bench.coded.protocol import (
     class_motions,
     drawn_motions,
 )
-from lab.trainings.dce.code import DCE_CODE
+from lab.trainings.dce.shipped_code import DCE_CODE
 from motdiff.trajectory import Trajectory
 
 

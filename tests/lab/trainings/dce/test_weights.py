@@ -5,7 +5,7 @@ import pytest
 
 from cep.codes.published import published
 from cep.optics.exposure import coded_psf
-from lab.trainings.dce.code import DCE_CODE
+from lab.trainings.dce.shipped_code import DCE_CODE
 from lab.trainings.dce.weights import WEIGHTS, read_card, restore
 from motdiff.motions import boracchi_foi, random_straight
 from motdiff.simulate import add_noise, blur_valid, to_linear, valid_window
