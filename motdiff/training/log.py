@@ -76,16 +76,16 @@ class RunLog:
         )
         print(f"{self._clear}{text}", end=self._end, file=sys.stderr, flush=True)  # noqa: T201
 
-    def resume(self, step: int, *, between: bool) -> bool:
+    def resume(self, step: int, *, scheduled: bool) -> bool:
         """Delete the rows of later steps; returns whether there is a validation of ``step``.
 
         Parameters
         ----------
         step : int
             Updates done.
-        between : bool
-            Whether a validation of this step was made only because a piece ended there: it is
-            deleted as well, as if there had been one piece only.
+        scheduled : bool
+            Whether a single piece would validate at this step. One that was made only because a
+            piece ended there is deleted as well.
         """
         path = self._folder / "log.csv"
         if not path.exists():
@@ -101,7 +101,7 @@ class RunLog:
             if cut_short or int(values[0]) > step:
                 continue
             validation = int(values[0]) == step and values[-1] != ""
-            if not (validation and between):
+            if scheduled or not validation:
                 rows.append(line)
                 validated |= validation
         if self._enabled and len(rows) < 1 + len(lines):

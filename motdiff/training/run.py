@@ -129,7 +129,6 @@ def train(
                     validation.run()
                 update_s = time.monotonic()
                 losses = trainer.update(sources.training)
-                validation.done = False
                 now_s = time.monotonic()
                 log.step(
                     trainer.step, losses, batch=config.optimiser.batch, seconds=trainer.seconds
@@ -159,8 +158,6 @@ class _Validation:
     ----------
     takes_s : float, seconds
         Predicted where the piece has a limit of time, else 0.
-    done : bool
-        Whether the weights as they are have been validated.
     """
 
     def __init__(
@@ -171,7 +168,8 @@ class _Validation:
         self._log = log
         self._pace = pace
         self._last_s = time.monotonic()
-        self.done = log.resume(trainer.step, between=not self._has_its_step)
+        is_validated = log.resume(trainer.step, scheduled=self._has_its_step)
+        self._validated_step = trainer.step if is_validated else -1
         self.takes_s = 0.0
         if trainer.leads and math.isfinite(pace.minutes):
             self.takes_s = _validation_time_s(trainer, batches)
@@ -181,6 +179,11 @@ class _Validation:
         """Whether the step, or the time since the last one, calls for a validation."""
         overdue = time.monotonic() - self._last_s >= 60 * self._pace.validate_minutes
         return self._has_its_step or overdue
+
+    @property
+    def done(self) -> bool:
+        """Whether an earlier piece validated the weights as they are."""
+        return self._trainer.step == self._validated_step
 
     @property
     def _has_its_step(self) -> bool:

@@ -98,7 +98,7 @@ def test_the_other_processes_of_a_group_are_silent(tmp_path, capsys):
     steps(log, range(1, 101))
     log.say("hello")
     log.validated(100, 0.5, loss=1.0)
-    assert not log.resume(0, between=True)
+    assert not log.resume(0, scheduled=False)
     log.close()
     assert list(tmp_path.iterdir()) == []
     assert capsys.readouterr() == ("", "")
@@ -124,13 +124,13 @@ def test_a_resumed_log_holds_nothing_that_will_be_done_again(tmp_path):
     for row in ("160,25", "160,2560,0.5,0.5,0.5,1,100,", "160,2560,0.5,0.5,0.5,1,100,\r"):
         with (tmp_path / "log.csv").open("a", newline="") as file:
             file.write(row)
-        assert RunLog(tmp_path, steps=1000).resume(170, between=False)
+        assert RunLog(tmp_path, steps=1000).resume(170, scheduled=True)
         assert (tmp_path / "log.csv").read_bytes() == whole
-    assert not RunLog(tmp_path, steps=1000).resume(170, between=True)
+    assert not RunLog(tmp_path, steps=1000).resume(170, scheduled=False)
     assert [row["step"] for row in read_log(tmp_path / "log.csv")] == [50, 100, 100, 150]
-    assert not RunLog(tmp_path, steps=1000).resume(120, between=True)
+    assert not RunLog(tmp_path, steps=1000).resume(120, scheduled=False)
     assert [row["step"] for row in read_log(tmp_path / "log.csv")] == [50, 100, 100]
-    assert RunLog(tmp_path, steps=1000).resume(100, between=False)
-    assert not RunLog(tmp_path, steps=1000).resume(0, between=True)
+    assert RunLog(tmp_path, steps=1000).resume(100, scheduled=True)
+    assert not RunLog(tmp_path, steps=1000).resume(0, scheduled=False)
     assert read_log(tmp_path / "log.csv") == []
-    assert not RunLog(tmp_path / "none", steps=1000).resume(0, between=True)
+    assert not RunLog(tmp_path / "none", steps=1000).resume(0, scheduled=False)
