@@ -15,7 +15,7 @@ from motdiff.blind_search.kernel import (
     centred,
     centred_together,
     fit_kernel,
-    without_faint_light,
+    thresholded,
     without_specks,
 )
 from motdiff.blind_search.latent import (
@@ -210,7 +210,7 @@ def estimate_kernels(
             cost += costs[scale]
             on_progress(cost / total)
         kernel = centre(kernel)  # else the next scale's frame might cut it
-    kernel = without_faint_light(kernel, below=_KEEP_SHARE)
+    kernel = thresholded(kernel, below=_KEEP_SHARE)
     if settings.fine_weights:
         kernel = centre(refine_kernel(photos, kernel, sigma=settings.sigma, one_scene=one_scene))
     on_progress(1.0)

@@ -94,10 +94,10 @@ def fit_kernel(
             t = t_next
         residual = blurred_energy - (x * (2 * Lb - applied(LL, x))).sum(dim=(1, 2))
         variance = residual.clamp(min=0) / (2 * crops * height * width)
-    return without_faint_light(x, below=keep_share)
+    return thresholded(x, below=keep_share)
 
 
-def without_faint_light(kernel: Tensor, *, below: float) -> Tensor:
+def thresholded(kernel: Tensor, *, below: float) -> Tensor:
     """Kernels (B, k, k), sum 1, with 0 below the share ``below`` of their peak."""
     peak = kernel.amax(dim=(1, 2), keepdim=True)
     return _normalised(torch.where(kernel < below * peak, torch.zeros_like(kernel), kernel))

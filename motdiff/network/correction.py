@@ -20,7 +20,7 @@ from motdiff.blind_search.grids import (
     periodic_extension,
     psf_to_otf,
 )
-from motdiff.blind_search.kernel import without_faint_light
+from motdiff.blind_search.kernel import thresholded
 from motdiff.blind_search.latent import salient_gradients
 from motdiff.network.physics_maps import autocorrelation, lags, spectral_maps
 from motdiff.network.sampling import DOUBT
@@ -79,7 +79,7 @@ def corrected(network: CorrectionNetwork, maps: Tensor) -> Tensor:
         mirrored(kernel, inverse_symmetry(symmetry), pitch=1)
         for symmetry, kernel in enumerate(kernels)
     ]
-    return without_faint_light(torch.cat(aligned, dim=1).mean(dim=1).clamp(min=0), below=DOUBT)
+    return thresholded(torch.cat(aligned, dim=1).mean(dim=1).clamp(min=0), below=DOUBT)
 
 
 def correction_maps(photos: Tensor, kernels: Tensor, rivals: Tensor, *, sigma: float) -> Tensor:
