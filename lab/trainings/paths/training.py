@@ -1,4 +1,4 @@
-"""Training of the denoiser of paths, and the figures of its draws."""
+"""Training of the denoiser of paths."""
 
 from __future__ import annotations
 
@@ -13,16 +13,10 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lab.trainings.averaged import AveragedNetwork, set_rate
-from lab.trainings.paths.network import SIGMA_DATA, UNIT_PX, PathDenoiser, draw, rendered
-from lab.trainings.paths.samples import (
-    LEAST_ALIKE,
-    PathSamples,
-    forward_in_time,
-    peaks,
-    turned,
-)
-from motdiff.blind_search.grids import SYMMETRIES
-from motdiff.psf_frame import PSF_PX
+from lab.trainings.paths.batches import Batches
+from lab.trainings.paths.evaluation import figures
+from lab.trainings.paths.network import SIGMA_DATA, UNIT_PX, PathDenoiser, rendered
+from lab.trainings.paths.samples import PathSamples
 from motdiff.weights_io import packed, write_with_card
 
 SCHEMA = "lab.paths/1"
@@ -34,9 +28,6 @@ _LAST_RATE = 0.02  # of the first, at the end of the cosine
 _SIGMA_LOG = (-1.3, 1.5)  # mean and deviation of the noise levels' logarithms
 _LARGEST_WEIGHT = 400.0  # of an error, at the smallest noise levels
 _SHAPED_BELOW = 0.6  # noise levels at which the denoised path has the shape of one
-_ABSENT_MAPS = 0.15  # share of the second to fourth maps that are left out
-_SWAPPED = 0.3  # share of photos whose kernels change places
-_QUARTERS = (0.0, 0.25, 0.5, 0.75)
 
 
 @dataclass(frozen=True)
@@ -141,180 +132,6 @@ class DrawnPathTrainer(AveragedNetwork[PathDenoiser]):
         shape = (shaped * unlike).sum() / (2 * shaped.sum().clamp(min=1))
         total: Tensor = loss + self.settings.shape * shape
         return total
-
-
-class Batches:
-    """Maps and points of searched photos and of clean motions, turned and mirrored.
-
-    Parameters
-    ----------
-    samples : PathSamples
-        On the device.
-    motions : (M, 64, 2) float
-        Points of the clean motions, on the device.
-    generator : torch.Generator
-    """
-
-    def __init__(
-        self, samples: PathSamples, motions: Tensor, *, generator: torch.Generator
-    ) -> None:
-        self._index = torch.nonzero(samples.alike > LEAST_ALIKE)[:, 0]
-        if not len(self._index):
-            raise ValueError("samples: every photo is lost; prepare more shards")
-        self._samples = samples
-        self._motions = motions
-        self._generator = generator
-
-    def batch(self, count: int, clean: float) -> tuple[Tensor, Tensor]:
-        """Draw maps (count, 4, 64, 64) and points (count, 64, 2), a share of them clean."""
-        faulty = round(clean * count) if len(self._motions) else 0
-        index = self._index[self._whole(len(self._index), count - faulty)]
-        maps = self._samples.maps[index].float() / 127
-        points = self._samples.points[index]
-        if faulty:
-            motions = self._motions[self._whole(len(self._motions), faulty)]
-            maps = torch.cat([maps, self._with_faults(rendered(motions))])
-            points = torch.cat([points, motions])
-        order = torch.randperm(count, generator=self._generator, device=maps.device)
-        maps, points = self._disturbed(maps[order]), points[order]
-        groups = [
-            turned(some_maps, some_points, symmetry)
-            for symmetry, (some_maps, some_points) in enumerate(
-                zip(maps.tensor_split(SYMMETRIES), points.tensor_split(SYMMETRIES), strict=True)
-            )
-        ]
-        maps, points = (torch.cat(parts) for parts in zip(*groups, strict=True))
-        return maps, forward_in_time(points)
-
-    def _whole(self, limit: int, count: int) -> Tensor:
-        device = self._generator.device
-        return torch.randint(limit, (count,), generator=self._generator, device=device)
-
-    def _uniform(self, *shape: int) -> Tensor:
-        return torch.rand(shape, generator=self._generator, device=self._generator.device)
-
-    def _smooth(self, count: int, side: int) -> Tensor:
-        """Draw normal noise (count, 1, 64, 64), as smooth as a grid of so many pixels a side."""
-        shape = (count, 1, side, side)
-        noise = torch.randn(shape, generator=self._generator, device=self._generator.device)
-        return functional.interpolate(noise, size=(PSF_PX, PSF_PX), mode="bicubic")
-
-    def _with_faults(self, psfs: Tensor) -> Tensor:
-        """Make maps of kernels with a search's faults: uneven, blurred, cut, with specks."""
-        count = len(psfs)
-        peak = psfs.amax(dim=(1, 2)).clamp(min=1e-9)
-        psfs = psfs[:, None] / peak[:, None, None, None]
-        maps = []
-        for _ in range(3):
-            uneven = 1 + 0.5 * self._uniform(count, 1, 1, 1) * self._smooth(count, 16)
-            kernel = psfs * uneven.clamp(min=0)
-            softness = 0.6 * self._uniform(count, 1, 1, 1)
-            kernel = torch.lerp(kernel, functional.avg_pool2d(kernel, 3, 1, 1), softness)
-            specks = self._smooth(count, 32).clamp(min=0)
-            kernel = kernel + 0.1 * self._uniform(count, 1, 1, 1).square() * specks
-            kernel = kernel / kernel.amax(dim=(2, 3), keepdim=True).clamp(min=1e-9)
-            faint = 0.02 + 0.15 * self._uniform(count, 1, 1, 1)
-            maps.append(torch.where(kernel > faint, kernel, 0).clamp(min=0).sqrt())
-        least_squares = psfs + 0.15 * self._uniform(count, 1, 1, 1) * self._smooth(count, 32)
-        rough = 0.1 * self._uniform(count, 1, 1, 1) * self._smooth(count, PSF_PX)
-        least_squares = least_squares + rough
-        largest = least_squares.abs().amax(dim=(2, 3), keepdim=True).clamp(min=1e-9)
-        maps.append(least_squares.sign() * (least_squares.abs() / largest).sqrt())
-        return torch.cat(maps, dim=1)
-
-    def _disturbed(self, maps: Tensor) -> Tensor:
-        """Change places of kernels, leave some maps out, and add noise: 9,000 photos are few."""
-        count = len(maps)
-        swapped = self._uniform(count, 1, 1, 1) < _SWAPPED
-        maps = torch.where(swapped, maps[:, [1, 2, 0, 3]], maps)
-        absent = self._uniform(count, maps.shape[1], 1, 1) < _ABSENT_MAPS
-        absent[:, 0] = False
-        noise = torch.randn(maps.shape, generator=self._generator, device=maps.device)
-        return maps.masked_fill(absent, 0) + 0.03 * self._uniform(count, 1, 1, 1) * noise
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Figures of draws: means over photos, and medians of errors.
-
-    Attributes
-    ----------
-    draw, best : float
-        MNC over quarters of a pixel, of one draw and of the best of all.
-    error_px, best_error_px : float
-        Rms distance at equal times in the better direction, of one draw and of the best.
-    alike : float
-        MNC of two draws, over whole pixels.
-    kernels : float
-        MNC of the kernels' mean, over whole pixels.
-    """
-
-    draw: float
-    best: float
-    error_px: float
-    best_error_px: float
-    alike: float
-    kernels: float
-
-
-@torch.no_grad()
-def figures(
-    network: PathDenoiser,
-    samples: PathSamples,
-    *,
-    draws: int,
-    generator: torch.Generator,
-    steps: int = 16,
-    batch: int = 128,
-) -> Figures:
-    """Compare draws with the truth, on samples that no training has seen, lost ones included."""
-    rows = []
-    for first in range(0, len(samples), batch):
-        batch_slice = slice(first, first + batch)
-        maps = samples.maps[batch_slice].float() / 127
-        paths = draw(network, maps, count=draws, steps=steps, generator=generator)
-        truth, points = (
-            samples.psfs[batch_slice].float()[:, None],
-            samples.points[batch_slice][:, None],
-        )
-        mnc = torch.stack(
-            [
-                peaks(rendered_draws(paths + paths.new_tensor([right, down])), truth)[0]
-                for right in _QUARTERS
-                for down in _QUARTERS
-            ]
-        ).amax(dim=0)
-        centred = paths - paths.mean(dim=2, keepdim=True)
-        errors = torch.stack(
-            [
-                (centred - (ordered - ordered.mean(dim=2, keepdim=True)))
-                .square()
-                .sum(-1)
-                .mean(-1)
-                .sqrt()
-                for ordered in (points, points.flip(2))
-            ]
-        ).amin(dim=0)
-        pair = rendered_draws(paths[:, [0, -1]])
-        kernels = maps[:, :3].square()
-        kernels = (kernels / kernels.sum(dim=(2, 3), keepdim=True)).mean(dim=1, keepdim=True)
-        columns = (
-            mnc[:, 0],
-            mnc.amax(dim=1),
-            errors[:, 0],
-            errors.amin(dim=1),
-            peaks(pair[:, :1], pair[:, 1:])[0][:, 0],
-            peaks(kernels, truth)[0][:, 0],
-        )
-        rows.append(torch.stack(columns, dim=1))
-    table = torch.cat(rows)
-    mean, median = table.mean(dim=0).tolist(), table.median(dim=0).values.tolist()
-    return Figures(mean[0], mean[1], median[2], median[3], mean[4], mean[5])
-
-
-def rendered_draws(paths: Tensor) -> Tensor:
-    """PSFs (B, K, 64, 64) of paths (B, K, 64, 2)."""
-    return rendered(paths.flatten(0, 1)).view(*paths.shape[:2], PSF_PX, PSF_PX)
 
 
 def train(

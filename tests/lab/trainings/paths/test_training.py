@@ -7,6 +7,8 @@ import torch
 from cep.files.images import write_image
 from lab.trainings.paths import samples as samples_module
 from lab.trainings.paths.__main__ import run
+from lab.trainings.paths.batches import Batches
+from lab.trainings.paths.evaluation import figures
 from lab.trainings.paths.network import POINTS, UNIT_PX, PathDenoiser, draw, rendered
 from lab.trainings.paths.samples import (
     PathSamples,
@@ -17,7 +19,7 @@ from lab.trainings.paths.samples import (
     read_samples,
     turned,
 )
-from lab.trainings.paths.training import Batches, DrawnPathTrainer, Settings, figures, train
+from lab.trainings.paths.training import DrawnPathTrainer, Settings, train
 from motdiff.blind_search.grids import SYMMETRIES, mirrored
 from motdiff.motions import boracchi_foi
 from motdiff.training.motion_bank import MotionMix
