@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from motdiff.files.plugins import load_object
 from motdiff.trajectory import Trajectory
 
+LOST = 0.5
+"""Confidence below which a kernel is likelier wrong than good."""
+
 
 @dataclass(frozen=True)
 class MotionEstimate:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motdiff.estimators.base import FoundKernels, MotionEstimate
+from motdiff.estimators.base import LOST, FoundKernels, MotionEstimate
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, centred, in_frame, without_faint_light, without_faint_parts
 from motdiff.tracing import (
@@ -29,7 +29,6 @@ from motdiff.types import FloatArray
 # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
 _SAME_MOTION_MNC = 0.8
 _MOST_MOTIONS = 3  # the best, and alternatives
-_LOST = 0.5  # confidence: below, the kernel is likelier wrong than good
 # kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px,
 # six
 _WEB_PX = 200.0
@@ -102,38 +101,35 @@ def described(
         kernel = candidates.best_kernel
         psf = in_frame(kernel, max(PSF_PX, len(kernel) + 1))
         psf = psf / psf.sum()
-    of_the_psf = list(candidates.warnings)
-    if uneven is not None:
-        of_the_psf.append(uneven)
-    warnings = list(of_the_psf)
+    of_the_kernel = [*candidates.warnings, *filter(None, [uneven])]
+    of_the_path = []
     confidence = candidates.confidence
     length_px = trace.length_px
     extent_px = trace.extent_px
     # the limit is in pixels of what was searched
     if length_px > max(_WEB_PX * factor, _WEB_TURNS * extent_px):
         confidence = min(confidence, _WEB_CONFIDENCE)
-        warnings.append(
+        of_the_path.append(
             f"the path traced is {length_px:.0f} px long within {extent_px:.0f} px: more a web of"
             " noise than a motion"
         )
-    elif confidence >= _LOST and tangled:
-        warnings.append(
+    elif confidence >= LOST and tangled:
+        of_the_path.append(
             f"the path traced is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a"
             " blur kernel does not tell the order of crossing strands: a code searched along it"
             " may be no better than a published one; the method gyro tells the order"
         )
-    if confidence < _LOST:
-        warnings.append(
+    if confidence < LOST:
+        of_the_path.append(
             f"the blind estimate is probably lost (confidence {confidence:.2f}): "
             "take a photo with more texture, or use the methods reference or point"
         )
+    of_the_scale = []
     if factor > 1:
-        smaller = (
+        of_the_scale.append(
             f"the motion was estimated on the photo at 1/{factor} of its size, where it"
             " shows better"
         )
-        warnings.append(smaller)
-        of_the_psf.append(smaller)
     figures = {**details, "scale": 1 / factor, **candidates.details}
     if candidates.origins:
         figures["chosen"] = candidates.origins[candidates.best]
@@ -145,14 +141,14 @@ def described(
         weights=tuple(float(w) for w in weights),
         psf=psf,
         confidence=confidence,
-        warnings=tuple(warnings),
+        warnings=(*of_the_kernel, *of_the_path, *of_the_scale),
         details={
             **figures,
             "trajectory_psf_mnc": mnc_subpixel(psf, path_psf),
             "psf_confidence": candidates.confidence,
             "path_confidence": confidence * best.share,
         },
-        psf_warnings=tuple(of_the_psf),
+        psf_warnings=(*of_the_kernel, *of_the_scale),
     )
 
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from motdiff.crops import CLIPPED_LEVEL
-from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.base import LOST, MotionEstimate
 from motdiff.metrics import mnc_subpixel
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.psf_frame import PSF_PX
@@ -25,7 +25,6 @@ from motdiff.types import FloatArray
 
 # evidence of no motion, docs/decisions/motion-estimation.md: widths of edges in px, and their
 # share of the kernel's
-_LOST = 0.5  # confidence: below, the kernel is likelier wrong than good
 _SPOT_PX = 2.7  # widest edges that a kernel no wider than a lens's spot leaves
 _LOST_SPOT_PX = 3.4  # where the search is lost, a wider kernel passes as a spot
 _NARROW_PX = 2.5  # and edges up to this width are as sharp as a photo at rest has them
@@ -71,7 +70,7 @@ def doubted(
     expected_px = kernel_edge_widths(estimate.psf, edges.normals_rad)
     narrow = edges.widest_px <= _NARROW_PX and edges.share_of(expected_px) <= _NARROW_SHARE
     spot_px = _SPOT_PX
-    if estimate.confidence < _LOST:
+    if estimate.confidence < LOST:
         spot_px = _LOST_SPOT_PX
     spot = bool(expected_px.max() <= spot_px)
     if (narrow and edges.bound_motion) or (spot and edges.widest_px <= _NARROW_PX):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motdiff.crops import CROP_PX, best_windows, clipped_mask, exposure_gain, textured_luminance
-from motdiff.estimators.base import FoundKernels, MotionEstimate
+from motdiff.estimators.base import LOST, FoundKernels, MotionEstimate
 from motdiff.estimators.description import described
 from motdiff.estimators.doubts import doubted
 from motdiff.estimators.fusion import GOOD_MNC, Fusion, cut_alike, fuse
@@ -33,7 +33,6 @@ _Result = TypeVar("_Result")
 _LEAST_HALVED_PX = 192  # halved it has 96, not much more than the largest kernel frame, 63
 _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
 _FACTORS = (1, 2, 4)  # by which the photo is made smaller, one after the other
-_LOST = 0.5  # confidence: below, the kernel is likelier wrong than good
 _MOST_CROPS = 12  # of several photos together
 _CLEARLY = 0.05  # a halved photo is less noisy, so its confidence comes out higher by itself
 
@@ -196,7 +195,7 @@ class BlindEstimator(ABC):
             else:
                 level = self._fused(factor, cuts, progress)
             if levels and level.candidates.confidence < max(
-                _LOST, levels[-1].candidates.confidence + _CLEARLY
+                LOST, levels[-1].candidates.confidence + _CLEARLY
             ):
                 break
             levels.append(level)
@@ -241,7 +240,7 @@ class BlindEstimator(ABC):
         its crops.
         """
         candidates = self.search(cut.crops, progress, halved=halved)
-        if candidates.confidence >= _LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
+        if candidates.confidence >= LOST or not 0 < cut.clipped.mean() <= MOST_LIGHTS:
             return cut.crops, candidates
         crops = np.stack(
             [without_lights(crop, mask) for crop, mask in zip(cut.crops, cut.clipped, strict=True)]
@@ -320,7 +319,7 @@ def _halved_crops(
 def _wants_halving(level: _Level, largest_px: int, full_side_px: int) -> bool:
     """Whether the blur is too large for the search, or the search failed in a large photo."""
     side_px = full_side_px // level.factor
-    lost = level.candidates.confidence < _LOST and side_px >= 2 * CROP_PX
+    lost = level.candidates.confidence < LOST and side_px >= 2 * CROP_PX
     outgrown = _outgrown(level.candidates.best_kernel, largest_px)
     return (outgrown and side_px >= _LEAST_HALVED_PX) or lost
 
