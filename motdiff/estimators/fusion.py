@@ -126,28 +126,25 @@ def fuse(
         result, dissenting = fused([i for i in result.photos if i != clearest])
     if dissenting:  # no majority agrees
         listed = " and ".join(f"{i + 1} (MNC {of_all.repeatability[i]:.2f})" for i in suspects)
-        warning = (
+        warnings = [
             f"photo{'s' * (len(suspects) > 1)} {listed} may show another motion, but no majority"
             " agrees: kept"
-        )
-        doubted = np.minimum(of_all.joint.probabilities, _DOUBTED)
-        return _warned(
-            replace(of_all, joint=replace(of_all.joint, probabilities=doubted)), [warning]
-        )
-    return _warned(
-        result,
-        [
+        ]
+        result = of_all
+        probabilities = np.minimum(of_all.joint.probabilities, _DOUBTED)
+    else:
+        warnings = [
             f"photo {i + 1} shows another motion (MNC {result.repeatability[i]:.2f} with the"
             " others): left out"
             for i in result.left_out
-        ],
+        ]
+        probabilities = result.joint.probabilities
+    joint = replace(
+        result.joint,
+        probabilities=probabilities,
+        warnings=(*result.joint.warnings, *warnings),
     )
-
-
-def _warned(fusion: Fusion, warnings: Sequence[str]) -> Fusion:
-    return replace(
-        fusion, joint=replace(fusion.joint, warnings=(*fusion.joint.warnings, *warnings))
-    )
+    return replace(result, joint=joint)
 
 
 def _chosen(
