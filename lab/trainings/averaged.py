@@ -10,6 +10,8 @@ from typing import Generic, TypeVar
 import torch
 from torch import nn
 
+from motdiff.training.loop import follow
+
 _Network = TypeVar("_Network", bound=nn.Module)
 
 
@@ -51,15 +53,9 @@ class AveragedNetwork(Generic[_Network]):
         self.step = 0
         self._old_share = old_share
 
-    @torch.no_grad()
     def advance(self) -> None:
         """Take the weights of an update into the average."""
-        # early on the average follows fast: else it would remember the random start
-        old_share = min(self._old_share, (self.step + 1) / (self.step + 10))
-        for average, value in zip(
-            self.average.parameters(), self.network.parameters(), strict=True
-        ):
-            average.lerp_(value, 1 - old_share)
+        follow(self.average, self.network, old_share=self._old_share, step=self.step)
         self.step += 1
 
     def single_or_bf16(self) -> torch.autocast | nullcontext[None]:

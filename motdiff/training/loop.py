@@ -163,7 +163,7 @@ class Trainer:
             total.backward()  # type: ignore[no-untyped-call]
         gradient = nn.utils.clip_grad_norm_(self.network.parameters(), optimiser.clip)
         self._adam.step()
-        self._average()
+        follow(self.average, self.network, old_share=self.config.optimiser.ema, step=self.step)
         self.step += 1
         loss = float(total.detach())
         # checked before a checkpoint can hold the damaged weights
@@ -241,18 +241,25 @@ class Trainer:
             return torch.autocast(self.device.type, dtype=torch.bfloat16)
         return nullcontext()
 
-    @torch.no_grad()
-    def _average(self) -> None:
-        # early on the average follows fast, as in TensorFlow's ExponentialMovingAverage: else it
-        # would remember the random start
-        decay = min(self.config.optimiser.ema, (1 + self.step) / (10 + self.step))
-        ema, weights = (
-            [parameter.detach() for parameter in network.parameters()]
-            for network in (self.average, self.network)
-        )
-        torch._foreach_lerp_(ema, weights, 1 - decay)
-        for averaged, buffer in zip(self.average.buffers(), self.network.buffers(), strict=True):
-            averaged.copy_(buffer)  # batch norm's statistics are running means already
+
+@torch.no_grad()
+def follow(average: nn.Module, network: nn.Module, *, old_share: float, step: int) -> None:
+    """Take a network's weights of a step into their running average.
+
+    Parameters
+    ----------
+    old_share : float
+        Share of the old weights in the average, once there are enough of them.
+    step : int
+        Updates done before.
+    """
+    # early on the average follows fast, as in TensorFlow's ExponentialMovingAverage: else it would
+    # remember the random start
+    old_share = min(old_share, (1 + step) / (10 + step))
+    old, new = ([weights.detach() for weights in net.parameters()] for net in (average, network))
+    torch._foreach_lerp_(old, new, 1 - old_share)
+    for averaged, buffer in zip(average.buffers(), network.buffers(), strict=True):
+        averaged.copy_(buffer)  # batch norm's statistics are running means already
 
 
 def learning_rate(step: int, optimiser: OptimiserConfig) -> float:
