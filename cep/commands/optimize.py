@@ -21,7 +21,7 @@ from cep.commands.console import Page, Table, announce, finish, progress
 from cep.commands.options import MOTION, CommonOptions, MotionOptions, command, option
 
 if TYPE_CHECKING:
-    from cep.search.optimize import OptimizedCode
+    from cep.search.optimized_code import OptimizedCode
     from cep.search.problem import Scenario, SearchProblem
     from motdiff.files.trajectories import StoredMotion
 

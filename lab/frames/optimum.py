@@ -23,7 +23,7 @@ from cep.search.code_search import (
     searched_problem,
 )
 from cep.search.expected import equal_light_noise, light_noise
-from cep.search.optimize import certificate_warnings
+from cep.search.optimized_code import certificate_warnings
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict

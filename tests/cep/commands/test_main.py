@@ -480,7 +480,7 @@ def test_a_second_interrupt_does_not_lose_the_code(cep, workplace, monkeypatch):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("cep.search.optimize.compare", interrupted)
+    monkeypatch.setattr("cep.search.optimized_code.compare", interrupted)
     assert (
         cep(
             "optimize", "--linear", "20", "--chips", "16", "--steps", "1000", "-o", "new.json"

@@ -364,7 +364,7 @@ def test_a_comparison_that_ends_early_loses_no_code(
     def ended(*_arguments, **_options):
         raise error
 
-    for place in ("cep.search.optimize.compare", "lab.frames.optimum.joint_figures"):
+    for place in ("cep.search.optimized_code.compare", "lab.frames.optimum.joint_figures"):
         monkeypatch.setattr(place, ended)
     run = lab if command == "frames" else cep
     run(command, "--linear", "8", "--chips", "8", "--steps", "5", "-o", "best.json")
