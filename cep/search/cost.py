@@ -20,7 +20,8 @@ from cep.optics.response import open_time
 from cep.optics.scene import inverse_scene, noise_variance
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from cep.search.objectives import Spectrum
-from cep.search.problem import Scenario, SearchProblem
+from cep.search.problem import SearchProblem
+from motdiff.trajectory import Trajectory
 
 RealArray = NDArray[Any]
 FINE: dict[str, Any] = {"oversampling": 64, "dtype": np.float64}
@@ -30,12 +31,15 @@ and float32 ranks codes that are almost as good by rounding."""
 
 @dataclass(frozen=True)
 class Part:
-    """Columns of the basis that belong to one scenario in one direction."""
+    """Columns of the basis that belong to one scenario's path in one direction.
+
+    The unit circle has no path.
+    """
 
     columns: slice
     samples: BandSamples
     scenario: int
-    reversed_path: bool
+    path: Trajectory | None
 
 
 class CodeCost:
@@ -85,18 +89,18 @@ class CodeCost:
             blocks.append(
                 np.exp(-2j * np.pi * np.outer(chips, samples.fx))[:, None] / problem.chips
             )
-            parts.append(Part(slice(0, samples.fx.size), samples, 0, False))
+            parts.append(Part(slice(0, samples.fx.size), samples, 0, None))
         ramps = problem.response is not None
         rows: NDArray[Any] = np.empty(0)
         for index, scenario in enumerate(problem.scenarios):
             samples = band_samples(scenario.trajectory, oversampling=oversampling, across=across)
-            for reversed_path in problem.directions(scenario):
-                if reversed_path and not ramps:
+            for path in problem.directed(scenario.trajectory):
+                if path is not scenario.trajectory and not ramps:
                     # the forward rows, which come first: the chips are met in the opposite order
                     rows = rows[::-1]
                 else:
                     rows = chip_rows(
-                        scenario.path(reversed_path=reversed_path),
+                        path,
                         problem.chips,
                         samples.fx,
                         samples.fy,
@@ -104,7 +108,7 @@ class CodeCost:
                     )
                 blocks.append(distinct_rows(rows, problem.response))
                 stop = start + samples.fx.size
-                parts.append(Part(slice(start, stop), samples, index, reversed_path))
+                parts.append(Part(slice(start, stop), samples, index, path))
                 start = stop
         # real and imaginary parts apart: the compiled loops add rows without complex arithmetic
         basis = np.concatenate(blocks, axis=2)
@@ -202,11 +206,8 @@ class CodeCost:
             for motion in self.parts:
                 modulus = np.hypot(otf[0, 0, motion.columns], otf[0, 1, motion.columns])
                 deepest = int(modulus.argmin())
-                directed = None
-                if self.problem.scenarios:
-                    directed = (self.problem.scenarios[motion.scenario], motion.reversed_path)
                 minimum = max(
-                    continuum_minimum(self.problem, directed, code),
+                    continuum_minimum(self.problem, motion.path, code),
                     1e-3 * modulus[deepest],  # 60 dB
                 )
                 # the deepest sample stands for the continuum between it and its neighbours
@@ -249,7 +250,7 @@ def sample_count(problem: SearchProblem, *, oversampling: int) -> int:
     if not problem.scenarios:
         return circle_samples(problem.chips, oversampling=oversampling).fx.size
     return sum(
-        len(problem.directions(scenario))
+        len(problem.directed(scenario.trajectory))
         * band_samples(scenario.trajectory, oversampling=oversampling).fx.size
         for scenario in problem.scenarios
     )
@@ -263,12 +264,8 @@ def _stacked(tables: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
     )
 
 
-def continuum_minimum(
-    problem: SearchProblem, motion: tuple[Scenario, bool] | None, code: ShutterCode
-) -> float:
-    """Smallest |H| over the continuum along a scenario in one direction; None: unit circle."""
-    if motion is None:
+def continuum_minimum(problem: SearchProblem, path: Trajectory | None, code: ShutterCode) -> float:
+    """Smallest |H| over the continuum along a path; None: unit circle."""
+    if path is None:
         return min_chip(code) / code.chips
-    scenario, reversed_path = motion
-    path = scenario.path(reversed_path=reversed_path)
     return mtf_minimum(path, code, budget=0, response=problem.response).upper

@@ -152,10 +152,7 @@ class ExpectedPsnr:
 
 def directed_scenarios(problem: SearchProblem, scenario: Scenario) -> list[Scenario]:
     """Return the scenario in each direction that counts, its path thinned."""
-    paths = [
-        scenario.path(reversed_path=reversed_path)
-        for reversed_path in problem.directions(scenario)
-    ]
+    paths = problem.directed(scenario.trajectory)
     return [replace(scenario, trajectory=path.thinned(_TOLERANCE_PX)) for path in paths]
 
 

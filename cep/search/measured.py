@@ -88,7 +88,7 @@ def measured_ways(
     """
     if not is_measured(problem, photographs):
         return tuple(modelled)
-    motions = _motions(problem)
+    motions = problem.directed_paths()
     photographs = _pictures(problem, photographs)
     size = grid_px(motions)
     affordable = int(len(photographs) * _USUAL_PX / size)
@@ -128,7 +128,7 @@ def measured_ways(
 
 def is_measured(problem: SearchProblem, photographs: Sequence[FloatArray] | None = None) -> bool:
     """Whether there are photographs, and the motion is no longer than :data:`LONGEST_PX`."""
-    longest_px = max(path.extent_px for path in _motions(problem))
+    longest_px = max(path.extent_px for path in problem.directed_paths())
     return len(_pictures(problem, photographs)) > 0 and longest_px <= LONGEST_PX
 
 
@@ -139,13 +139,6 @@ def _pictures(
     if photographs is not None:
         return photographs
     return scenes.photographs() if problem.scene.name == PHOTO.name else ()
-
-
-def _motions(problem: SearchProblem) -> list[Trajectory]:
-    """Paths in both directions where they are unknown."""
-    return [
-        scenario.path(reversed_path=reversed_path) for scenario, reversed_path in problem.ways()
-    ]
 
 
 def corrections_db(modelled: Iterable[Way], measured: Iterable[Way]) -> dict[Choice, float]:

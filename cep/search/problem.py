@@ -43,12 +43,6 @@ class Scenario:
     trajectory: Trajectory
     weight: float = 1.0
 
-    def path(self, *, reversed_path: bool) -> Trajectory:
-        """Return the motion or its reverse; the chips are played in their order either way."""
-        if reversed_path:
-            return self.trajectory.reversed()
-        return self.trajectory
-
 
 class ProblemFields(TypedDict, total=False):
     """Fields of a problem that :meth:`SearchProblem.along` takes as they are."""
@@ -306,19 +300,15 @@ class SearchProblem:
         )
         return unknown and uniform_length_px(trajectory) is None
 
-    def directions(self, scenario: Scenario) -> tuple[bool, ...]:
-        """Directions of a scenario that count: whether each is the reversed one."""
-        if self.both_directions(scenario.trajectory):
-            return (False, True)
-        return (False,)
+    def directed(self, trajectory: Trajectory) -> tuple[Trajectory, ...]:
+        """Return a path in each direction that counts: as it is, then reversed."""
+        if self.both_directions(trajectory):
+            return (trajectory, trajectory.reversed())
+        return (trajectory,)
 
-    def ways(self) -> tuple[tuple[Scenario, bool], ...]:
-        """Every scenario in every direction that counts, scenario by scenario."""
-        return tuple(
-            (scenario, reversed_path)
-            for scenario in self.scenarios
-            for reversed_path in self.directions(scenario)
-        )
+    def directed_paths(self) -> tuple[Trajectory, ...]:
+        """Return every scenario's path in every direction that counts, scenario by scenario."""
+        return tuple(path for s in self.scenarios for path in self.directed(s.trajectory))
 
     def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
         """Which of (R, n) codes keep every limit, (R,) bool."""
@@ -342,18 +332,18 @@ class SearchProblem:
             raise ValueError(f"code: must have {self.chips} chips, got {code.chips}")
         played = ShutterCode(code.bits, self.chip_ns)
         # a px a chip: the figures of the unit circle in chips
-        circle = (Scenario(Trajectory.straight(float(self.chips))), False)
+        circle = Trajectory.straight(float(self.chips))
         return worst_of(
             *(
                 measure(
-                    scenario.path(reversed_path=reversed_path),
+                    path,
                     played,
                     camera=self.camera,
                     budget=budget,
                     response=self.response,
                     scene=self.scene,
                 )
-                for scenario, reversed_path in self.ways() or (circle,)
+                for path in self.directed_paths() or (circle,)
             )
         )
 

@@ -241,7 +241,7 @@ class Judge:
     def _minimum(self, code: ShutterCode) -> float:
         problem = self._problem
         return min(
-            continuum_minimum(problem, scenario, code) for scenario in problem.ways() or (None,)
+            continuum_minimum(problem, path, code) for path in problem.directed_paths() or (None,)
         )
 
 

@@ -129,10 +129,7 @@ def motions() -> dict[str, Trajectory]:
 
 def trial_of(problem: SearchProblem, scenes: Sequence[FloatArray]) -> PhotoTrial:
     """Return photos of scenes along a problem's motions."""
-    motions = [
-        scenario.path(reversed_path=reversed_path) for scenario, reversed_path in problem.ways()
-    ]
-    return PhotoTrial(motions, scenes, camera=problem.camera, judged_px=JUDGED_PX)
+    return PhotoTrial(problem.directed_paths(), scenes, camera=problem.camera, judged_px=JUDGED_PX)
 
 
 def measured_gain(verdict: Verdict, trial: PhotoTrial) -> Gain | None:

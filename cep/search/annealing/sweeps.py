@@ -58,7 +58,9 @@ def swept(problem: SearchProblem) -> bool:
     """Whether sweeps search a problem: the smallest |H| of few chips, one way along a line."""
     if problem.chips > _MOST_CHIPS or problem.limits_runs or problem.response is not None:
         return False
-    if [name for name, _ in problem.objective_mix] != ["min-mtf"] or len(problem.ways()) > 1:
+    if [name for name, _ in problem.objective_mix] != ["min-mtf"]:
+        return False
+    if len(problem.directed_paths()) > 1:
         return False
     return problem.straight
 

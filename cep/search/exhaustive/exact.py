@@ -413,10 +413,7 @@ class BestCode:
         code = ShutterCode(self.bits)
         if self.on_circle:
             return chip_minimum(code)
-        minima = [
-            mtf_minimum(scenario.path(reversed_path=is_reversed), code)
-            for scenario, is_reversed in self.problem.ways()
-        ]
+        minima = [mtf_minimum(path, code) for path in self.problem.directed_paths()]
         worst = min(minima, key=lambda minimum: minimum.upper)
         return replace(worst, lower=min(minimum.lower for minimum in minima))
 
@@ -437,8 +434,7 @@ def _basis(problem: SearchProblem) -> NDArray[np.complex128]:
         phases = -2j * np.pi * np.arange(problem.chips)[:, None] * samples.fx
         return np.asarray(np.exp(phases), dtype=np.complex128)
     rows = []
-    for scenario, is_reversed in problem.ways():
-        path = scenario.path(reversed_path=is_reversed)
+    for path in problem.directed_paths():
         samples = band_samples(path)
         rows.append(chip_basis(path, problem.chips, samples.fx, samples.fy))
     return np.concatenate(rows, axis=1)
