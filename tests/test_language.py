@@ -21,7 +21,7 @@ VAGUE = frozenset(WORDS.split())
 MOST = {
     "cep/calibration": 1,
     "cep/proofs": 1,
-    "cep/search": 5,
+    "cep/search": 4,
     "lab/bench": 4,
     "lab/block_proofs": 10,
     "lab/fronts": 1,

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cep.commands.code_options import Device, Exposure, chips_option, exposure_seconds
+from cep.commands.code_options import Device, ExposureTime, chips_option, exposure_seconds
 from cep.commands.console import Page, Table, announce, finish, part, progress
 from cep.commands.options import (
     CameraOptions,
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
     from cep.optics.code import ShutterCode
     from cep.search.advise import Advice
+    from cep.search.exposures import Exposure
     from cep.search.problem import SearchProblem
-    from cep.search.ways import Way
     from motdiff.trajectory import Trajectory
 
 _SAME_TIME = 0.01  # relative: a device's ticks round the chip times
@@ -37,7 +37,7 @@ class AdviseOptions(CommonOptions, CameraOptions, SceneOptions, MotionOptions):
     """Options of ``cep advise``."""
 
     chips: int | None = chips_option("Number of chips; as many as pay when omitted.", fewest=2)
-    exposure: Exposure = None
+    exposure: ExposureTime = None
     code: list[str] | None = option(
         "--code",
         "CODE",
@@ -145,7 +145,7 @@ def advise(options: AdviseOptions) -> None:
     with progress("comparing") as tick:
         from cep.plots import check_figure_name, save
         from cep.plots.advice import advice_figure
-        from cep.search.advise import advise as compare_ways
+        from cep.search.advise import advise as compare_exposures
         from cep.search.chip_count import choose_chips
         from motdiff.files.outputs import claim
 
@@ -181,7 +181,7 @@ def advise(options: AdviseOptions) -> None:
             ).uninterrupted()
             gains = choice.gains_db
             problem = options.problem(motion, chips=choice.chips)
-        advice = compare_ways(
+        advice = compare_exposures(
             problem,
             *codes,
             path_error_px=error_px,
@@ -193,7 +193,7 @@ def advise(options: AdviseOptions) -> None:
     candidates = [
         candidate
         for code in codes
-        for candidate in advice.here.ways
+        for candidate in advice.here.exposures
         if candidate.code.bits == code.bits
     ]
     warnings = []
@@ -224,7 +224,7 @@ def advise(options: AdviseOptions) -> None:
 
 def _page(
     advice: Advice,
-    own_codes: Sequence[Way],
+    own_codes: Sequence[Exposure],
     other_chips_db: Mapping[int, float],
     plot: Path | None,
 ) -> Page:
@@ -235,7 +235,7 @@ def _page(
     problem = advice.problem
     yield at_camera.sentence
     yield advice.where
-    open_shutter = at_camera.ways[0]
+    open_shutter = at_camera.exposures[0]
     best = map(at_camera.best, at_camera.gains_db)
     # by name, as the best code may be the same even pulses as the best strobe
     exposures = {

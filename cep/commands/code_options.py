@@ -64,7 +64,7 @@ OpenChips = Annotated[
         help="Open chips, as 26 or 20:30, or their share, as 40%:60%; any number when omitted.",
     ),
 ]
-Exposure = Annotated[
+ExposureTime = Annotated[
     str | None,
     typer.Option(
         "--exposure",
@@ -91,7 +91,7 @@ class CodeOptions(CameraOptions, SceneOptions):
 
     chips: int | None = chips_option("Number of chips; 52 when omitted.", fewest=1)
     open_chips: OpenChips = None
-    exposure: Exposure = None
+    exposure: ExposureTime = None
     device: Device = None
     min_open: int = option("--min-open", "N", "Shortest open run, chips.", 1, panel=_LIMITS, min=1)
     min_closed: int = option(

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cep.commands.code_options import Device, Exposure, exposure_seconds
+from cep.commands.code_options import Device, ExposureTime, exposure_seconds
 from cep.commands.console import finish, part, progress
 from cep.commands.options import (
     CameraOptions,
@@ -31,7 +31,7 @@ class DemoOptions(CameraOptions, CommonOptions):
     output: Path = output_option("Folder to write into.", Path("demo"), metavar="FOLDER")
     photo: Path | None = option("--photo", "FILE", "A blurred photo of your own, instead.")
     gamma: Gamma = "srgb"
-    exposure: Exposure = None
+    exposure: ExposureTime = None
     chips: int | None = option(
         "--chips",
         "N",

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
     from cep.search.advise import Advice
 
-WAY_NAMES = {
+EXPOSURE_NAMES = {
     "snapshot": "best single exposure",
     "strobe": "best even pulses",
     "code": "best code",
@@ -37,7 +37,7 @@ def advice_figure(advice: Advice) -> Figure:
         ha="right",
         va="top",
     )
-    for (kind, name), colour, line in zip(WAY_NAMES.items(), COLOURS, LINES, strict=False):
+    for (kind, name), colour, line in zip(EXPOSURE_NAMES.items(), COLOURS, LINES, strict=False):
         points = [
             (photons, level.gains_db[kind])
             for photons, level in zip(light, advice.levels, strict=True)

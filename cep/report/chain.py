@@ -15,7 +15,7 @@ from cep.restoration.result import Restoration
 from cep.restoration.sharpen import LEAST_CONFIDENCE, sharpen
 from cep.search.advise import LEVELS, Advice
 from cep.search.chip_count import choose_chips
-from cep.search.ways import CODED, Choice, Way
+from cep.search.exposures import CODED, Choice, Exposure
 from motdiff.crops import centre_crop, luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import psnr_up_to_shift
@@ -43,7 +43,7 @@ class Shot:
     Attributes
     ----------
     kind : {"open", "snapshot", "coded"}
-    exposure : Way
+    exposure : Exposure
         How it was exposed.
     photo, restored : float ndarrays, linear light
         The restoration is at the brightness of the open exposure.
@@ -52,7 +52,7 @@ class Shot:
     """
 
     kind: str
-    exposure: Way
+    exposure: Exposure
     photo: FloatArray
     restored: FloatArray
     psnr_db: float
@@ -251,10 +251,10 @@ def _problem(
     return problem_of(chips)
 
 
-def _exposures(advice: Advice) -> dict[str, Way]:
+def _exposures(advice: Advice) -> dict[str, Exposure]:
     """Return the open shutter, then the best single exposure and code that the limits leave."""
     candidates = {
-        "open": advice.here.ways[0],
+        "open": advice.here.exposures[0],
         "snapshot": advice.here.best("snapshot"),
         "coded": advice.here.best("code"),
     }
@@ -267,7 +267,7 @@ def _shots(
     scene: Scene,
     estimate: MotionEstimate,
     camera: cep.Camera,
-    exposures: Mapping[str, Way],
+    exposures: Mapping[str, Exposure],
     seed: int,
 ) -> tuple[FloatArray, tuple[Shot, ...]]:
     """Return the scene at rest, and a photo taken each way, all restored in the same way."""

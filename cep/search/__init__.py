@@ -10,8 +10,9 @@ search
     ``baselines``, what would be used instead; ``annealing`` or ``exhaustive``, and ``optima``
     proven before; ``code_search`` joins them. ``bounds``: what no code can exceed.
 verdict
-    ``ways`` to expose, judged by the restoration ``expected`` of a model and ``measured`` on
-    photographs; ``verdict`` at one level of light, ``advise`` over the light, ``chip_count``.
+    ``exposures``, judged by the restoration ``expected`` of a model and ``measured`` on
+    photographs; ``verdict`` at one level of light, in words ``verdict_text``; ``advise`` over the
+    light, ``chip_count``.
 optimize
     All of it: the code, its comparison, certificate, bound and verdict.
 """

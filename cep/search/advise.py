@@ -13,21 +13,21 @@ from cep.optics.camera import LIGHT_RANGE
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.expected import WORTH_DB
-from cep.search.measured import corrections_db, is_measured, measured_ways, shifts_db
-from cep.search.problem import SearchProblem
-from cep.search.verdict import Verdict, check_codes, expectation
-from cep.search.ways import (
+from cep.search.exposures import (
     NONE_POSSIBLE,
     Choice,
-    WayFinder,
+    ExposureFinder,
     can_record,
     check_light,
-    judged_ways,
+    judged_exposures,
 )
+from cep.search.measured import corrections_db, is_measured, measured_exposures, shifts_db
+from cep.search.problem import SearchProblem
+from cep.search.verdict import Verdict, check_codes, expectation
 from motdiff.types import FloatArray
 
 LEVELS = (100.0, 300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
-"""Photo-electrons at full scale at which the ways to expose are compared: starlight to studio."""
+"""Photo-electrons at full scale at which exposures are compared: starlight to studio."""
 
 _MODELLED_SHARE = 0.3  # of the time: then it is measured
 
@@ -50,7 +50,7 @@ class Advice:
 
     @property
     def choice(self) -> Choice:
-        """Kind of the way to take at the camera's light."""
+        """Kind of the exposure to take at the camera's light."""
         return self.here.choice
 
     @property
@@ -145,7 +145,7 @@ def advise(
 ) -> Advice:
     """Compare open shutter, best snapshot, best strobe and best code, over levels of light.
 
-    Each way may be open for any part of the exposure within the problem's limits; the scene is as
+    Each exposure may be open for any part of its time within the problem's limits; the scene is as
     bright for all. A code is searched at each level. At the camera's light the gains are those
     that photographs show, simulated and restored (:mod:`cep.search.measured`). At other levels
     they are about those of a model of photographs (:class:`cep.search.expected.ExpectedPsnr`),
@@ -161,7 +161,7 @@ def advise(
         Photo-electrons at full scale, 1..1e7. Those at which even the shortest opening saturates
         are left out.
     path_error_px : float
-        Rms error of the path where it is an estimate. Every way is judged with it, the codes are
+        Rms error of the path where it is an estimate. Exposures are judged with it, the codes are
         searched without.
     photographs : sequence of (H, W) float ndarrays, linear light, optional
         On which the gains are measured: pictures of the problem's scene. When omitted the twelve
@@ -207,7 +207,7 @@ def advise(
     lights = sorted({*map(float, levels), camera_light})
     cameras = [problem.camera.at(light) for light in lights]
     cameras = [camera for camera in cameras if can_record(replace(problem, camera=camera))]
-    finder = WayFinder(problem)
+    finder = ExposureFinder(problem)
     pool = list(codes)
     parts = (len(cameras) + 1) / _MODELLED_SHARE
     for index, camera in enumerate(cameras):
@@ -218,12 +218,12 @@ def advise(
         pool += [*ordinary, *finder.codes(camera, [*ordinary, *pool], seed=seed, threads=threads)]
     progress(len(cameras) / parts, "judging")
     # every code is judged at every level: one found for another light may be better here
-    judged_exposures = judged_ways(problem, cameras, pool, path_error_px=path_error_px)
+    judgements = judged_exposures(problem, cameras, pool, path_error_px=path_error_px)
     modelled = {
         camera.photons_full_scale: Verdict(
             camera, exposures, path_error_px=path_error_px, scene=problem.scene
         )
-        for camera, exposures in zip(cameras, judged_exposures, strict=True)
+        for camera, exposures in zip(cameras, judgements, strict=True)
         if any(exposure.possible for exposure in exposures)
     }
     if camera_light not in modelled:
@@ -231,9 +231,9 @@ def advise(
     at_camera = modelled[camera_light]
     if is_measured(problem, photographs):
         announce(expectation(problem, at_camera))
-    exposures = measured_ways(
+    exposures = measured_exposures(
         problem,
-        at_camera.ways,
+        at_camera.exposures,
         photographs=photographs,
         own_codes=codes,
         path_error_px=path_error_px,
@@ -242,8 +242,8 @@ def advise(
             _MODELLED_SHARE + (1 - _MODELLED_SHARE) * share, "measuring on photographs"
         ),
     )
-    shifts = corrections_db(at_camera.ways, exposures)
-    measured = replace(at_camera, ways=exposures)
+    shifts = corrections_db(at_camera.exposures, exposures)
+    measured = replace(at_camera, exposures=exposures)
     levels_stated = tuple(
         # what the model lacks grows with the light: nearby it is as where it was measured
         measured

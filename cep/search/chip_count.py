@@ -1,4 +1,4 @@
-"""Number of chips: the fewest with which the best way to expose is as good as with more."""
+"""Number of chips: the fewest with which the best exposure is as good as with more."""
 
 from __future__ import annotations
 
@@ -10,8 +10,14 @@ from dataclasses import dataclass
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_resolved
 from cep.search.expected import WORTH_DB
+from cep.search.exposures import (
+    Exposure,
+    ExposureFinder,
+    best_possible,
+    check_light,
+    judged_exposures,
+)
 from cep.search.problem import SearchProblem
-from cep.search.ways import Way, WayFinder, best_possible, check_light, judged_ways
 
 ASSUMED_EXPOSURE_S = 0.05
 """Exposure where none is given and the number of chips is chosen: it must be the same for all."""
@@ -28,7 +34,7 @@ class ChipCount:
     ----------
     chips : int
     gains_db : mapping of int to float
-        What the best way gains with each other number that was tried, dB.
+        What the best exposure gains with each other number that was tried, dB.
     code : ShutterCode or None
         The best code found with so many chips, within the limits; None where Ctrl-C came before
         any.
@@ -66,7 +72,7 @@ def choose_chips(
     threads: int | None = None,
     progress: Callable[[float, str], None] = lambda _share, _note: None,
 ) -> ChipCount:
-    """Choose the fewest chips with which the best way is within ``WORTH_DB`` of the best.
+    """Choose the fewest chips with which the best exposure is within ``WORTH_DB`` of the best.
 
     Anytime: the time or Ctrl-C ends the choice with the numbers tried so far.
 
@@ -87,7 +93,7 @@ def choose_chips(
         If none is left: as for the first of them.
     """
     deadline = time.monotonic() + time_s
-    reached: dict[int, Way] = {}
+    reached: dict[int, Exposure] = {}
     refusal = ValueError("counts: needs at least one number of chips")
     early = ""
     count = 0  # the number that is tried
@@ -109,7 +115,9 @@ def choose_chips(
                 continue
             # whatever the time, the first number is judged
             time_left_s = max(left_s, 1e-3)
-            reached[count], stopped = _best_way(problem, path_error_px, seed, time_left_s, threads)
+            reached[count], stopped = _best_exposure(
+                problem, path_error_px, seed, time_left_s, threads
+            )
             if stopped in ("time", "interrupted"):
                 early = stopped
                 break
@@ -142,11 +150,11 @@ def in_words_of_chips(gains_db: Mapping[int, float]) -> str:
     return ", ".join(clauses).replace(" ", " chips would ", 1)
 
 
-def _best_way(
+def _best_exposure(
     problem: SearchProblem, path_error_px: float, seed: int, time_s: float, threads: int | None
-) -> tuple[Way, str]:
-    """Best possible way at the camera's light, and what ended the search of a code."""
-    finder = WayFinder(problem)
+) -> tuple[Exposure, str]:
+    """Best possible exposure at the camera's light, and what ended the search of a code."""
+    finder = ExposureFinder(problem)
     camera = problem.camera
     ordinary = finder.ordinary(camera, every_length=path_error_px > 0)
     searched = finder.search(camera, ordinary, seed=seed, time_s=time_s, threads=threads)
@@ -156,5 +164,5 @@ def _best_way(
         codes = [*ordinary, searched.code]
         stopped = searched.stopped
     # judged with the error of the path, which the search does not count
-    (exposures,) = judged_ways(problem, [camera], codes, path_error_px=path_error_px)
+    (exposures,) = judged_exposures(problem, [camera], codes, path_error_px=path_error_px)
     return best_possible(exposures), stopped

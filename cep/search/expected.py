@@ -21,7 +21,7 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 WORTH_DB = 0.1
-"""Expected gain below which the simpler way to expose is advised."""
+"""Expected gain below which the simpler exposure is advised."""
 
 _OVERSAMPLING = 16  # samples per 1 / extent of a straight motion: twice a search's
 _INTERVALS = 128  # a side of a curved motion's grid: twice a search's

@@ -1,4 +1,4 @@
-"""Ways to expose, measured: simulated on photographs and restored, instead of a model's figure.
+"""Exposures, measured: simulated on photographs and restored, instead of a model's figure.
 
 A measurement takes seconds, which a page that follows a hand, and a first sentence, do not have.
 They shift the model by a table of cases that were measured before, by
@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cache
-from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -23,8 +22,8 @@ from cep.optics.scene import PHOTO
 from cep.photographs import scenes
 from cep.photographs.trial import PhotoTrial, grid_px
 from cep.search.expected import WORTH_DB
+from cep.search.exposures import Choice, Exposure
 from cep.search.problem import SearchProblem
-from cep.search.ways import Choice, Way
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -47,27 +46,27 @@ _USUAL_PX = 4e4  # of a restored photo; larger ones are restored from fewer phot
 _LEAST_PHOTOGRAPHS = 4
 
 
-def measured_ways(
+def measured_exposures(
     problem: SearchProblem,
-    modelled: Sequence[Way],
+    modelled: Sequence[Exposure],
     *,
     photographs: Sequence[FloatArray] | None = None,
     own_codes: Iterable[ShutterCode] = (),
     path_error_px: float = 0.0,
     seed: int = 0,
     progress: Callable[[float], None] = lambda _share: None,
-) -> tuple[Way, ...]:
-    """Measure the ways that may be the best of their kind on photographs.
+) -> tuple[Exposure, ...]:
+    """Measure the exposures that may be the best of their kind on photographs.
 
     These are the open shutter, single exposures of six lengths near the model's best, the best
-    even pulses and codes, the user's codes, and the best way outside the limits. Of several of a
+    even pulses and codes, the user's codes, and the best one outside the limits. Of several of a
     kind half are left after 3 photographs and one after 6, which is measured on all. The others
     are stated relative to it.
 
     Parameters
     ----------
     problem : SearchProblem
-    modelled : sequence of Way
+    modelled : sequence of Exposure
         As the model judges them at the problem's light, the open shutter first.
     photographs : sequence of (H, W) float ndarrays, linear light, optional
         When omitted those of :func:`cep.photographs.scenes.photographs` where the problem's scene
@@ -82,9 +81,9 @@ def measured_ways(
 
     Returns
     -------
-    tuple of Way
-        The open shutter first, then those that were measured. The ways themselves where there are
-        no photographs, or the motion is longer than :data:`LONGEST_PX`.
+    tuple of Exposure
+        The open shutter first, then those that were measured. What the model judged where there
+        are no photographs, or the motion is longer than :data:`LONGEST_PX`.
     """
     if not is_measured(problem, photographs):
         return tuple(modelled)
@@ -108,7 +107,7 @@ def measured_ways(
     planned = sum(_photos(len(group), rounds) for group in groups)
     finished = 0
 
-    def measure(group: Sequence[Way], numbers: range) -> FloatArray:
+    def measure(group: Sequence[Exposure], numbers: range) -> FloatArray:
         nonlocal finished
         levels = trial.psnr_db(
             [exposure.code for exposure in group],
@@ -118,7 +117,7 @@ def measured_ways(
         finished += levels.size
         return levels
 
-    measured: dict[str, Way] = {}
+    measured: dict[str, Exposure] = {}
     for group in groups:
         measured |= {exposure.code.bits: exposure for exposure in _halved(group, rounds, measure)}
     return tuple(
@@ -141,10 +140,12 @@ def _pictures(
     return scenes.photographs() if problem.scene.name == PHOTO.name else ()
 
 
-def corrections_db(modelled: Iterable[Way], measured: Iterable[Way]) -> dict[Choice, float]:
-    """Return what the model lacks on photographs, dB, of the best way of each kind."""
+def corrections_db(
+    modelled: Iterable[Exposure], measured: Iterable[Exposure]
+) -> dict[Choice, float]:
+    """Return what the model lacks on photographs, dB, of the best exposure of each kind."""
     model_db = {exposure.code.bits: exposure.psnr_db for exposure in modelled}
-    best: dict[Choice, Way] = {}
+    best: dict[Choice, Exposure] = {}
     for exposure in sorted(measured, key=lambda exposure: exposure.psnr_db):
         best[exposure.kind] = exposure
     return {
@@ -152,8 +153,8 @@ def corrections_db(modelled: Iterable[Way], measured: Iterable[Way]) -> dict[Cho
     }
 
 
-def corrected(exposure: Way, corrections: dict[Choice, float], share: float) -> Way:
-    """Shift a way's modelled figures by a share of the correction of its kind."""
+def corrected(exposure: Exposure, corrections: dict[Choice, float], share: float) -> Exposure:
+    """Shift an exposure's modelled figures by a share of the correction of its kind."""
     correction = corrections.get(exposure.kind)
     if correction is None:  # a kind that was not measured: as the others, which leaves its gains
         correction = float(np.mean([*corrections.values()] or [0.0]))
@@ -164,40 +165,42 @@ def corrected(exposure: Way, corrections: dict[Choice, float], share: float) -> 
     )
 
 
-def _candidates(modelled: Sequence[Way], own_bits: set[str]) -> list[list[Way]]:
-    """Return groups of ways that compete; a group of one is measured on all photographs."""
+def _candidates(modelled: Sequence[Exposure], own_bits: set[str]) -> list[list[Exposure]]:
+    """Return groups of exposures that compete; a group of one is measured on all photographs."""
     by_model = sorted(modelled[1:], key=lambda exposure: -exposure.psnr_db)
     possible = [exposure for exposure in by_model if exposure.possible]
-    best_of_length: dict[int, Way] = {}
-    for exposure in possible:
-        if exposure.kind == "snapshot":
-            best_of_length.setdefault(exposure.code.open_chips, exposure)
-    snapshots = [*best_of_length.values()][:_LENGTHS]
-    # with a brighter lamp the best may be another
-    brightest = [exposure for exposure in possible if exposure.kind == "snapshot"]
-    if brightest:
-        lamp = max(brightest, key=attrgetter("equal_light_db"))
-        if lamp not in snapshots:
-            snapshots.append(lamp)
-    strobes = [exposure for exposure in possible if exposure.kind == "strobe"][:1]
-    codes = [exposure for exposure in possible if exposure.kind == "code"][:_CODES]
-    user_ways = [exposure for exposure in modelled if exposure.code.bits in own_bits]
-    groups = [[modelled[0]], snapshots, [*codes, *strobes]]
-    if len(user_ways) <= _OWN_CODES:
-        groups += [[exposure] for exposure in user_ways]
-    else:
-        groups.append(user_ways)
+    groups = []
     # what loosening the limits would gain
     unlimited = [exposure for exposure in by_model if not exposure.saturates]
     if unlimited and not unlimited[0].within_limits:
         beyond_db = unlimited[0].psnr_db - (possible[0].psnr_db if possible else -np.inf)
         if beyond_db > WORTH_DB:
             groups.append(unlimited[:1])
-    distinct: set[str] = set()
-    for group in reversed(groups):  # the last groups are measured in full
-        group[:] = [exposure for exposure in group if exposure.code.bits not in distinct]
-        distinct |= {exposure.code.bits for exposure in group}
-    return [group for group in groups if group]
+    user_exposures = [exposure for exposure in modelled if exposure.code.bits in own_bits]
+    if len(user_exposures) <= _OWN_CODES:
+        groups += [[exposure] for exposure in user_exposures]
+    else:
+        groups.append(user_exposures)
+    codes = [exposure for exposure in possible if exposure.kind == "code"][:_CODES]
+    strobes = [exposure for exposure in possible if exposure.kind == "strobe"][:1]
+    snapshots = [exposure for exposure in possible if exposure.kind == "snapshot"]
+    best_of_length: dict[int, Exposure] = {}
+    for exposure in snapshots:
+        best_of_length.setdefault(exposure.code.open_chips, exposure)
+    # with a brighter lamp the best may be another
+    at_equal_light = sorted(snapshots, key=lambda exposure: -exposure.equal_light_db)[:1]
+    shortlist = dict.fromkeys([*[*best_of_length.values()][:_LENGTHS], *at_equal_light])
+    groups += [[*codes, *strobes], [*shortlist], [modelled[0]]]
+    # of several groups the first counts: those before the codes are measured in full
+    group_of: dict[str, int] = {}
+    for index, group in enumerate(groups):
+        for exposure in group:
+            group_of.setdefault(exposure.code.bits, index)
+    distinct = [
+        [exposure for exposure in group if group_of[exposure.code.bits] == index]
+        for index, group in enumerate(groups)
+    ]
+    return [group for group in distinct if group]
 
 
 def _remaining(candidates: int, number: int, rounds: Sequence[int]) -> int:
@@ -217,14 +220,16 @@ def _photos(candidates: int, rounds: Sequence[int]) -> int:
 
 
 def _halved(
-    group: Sequence[Way],
+    group: Sequence[Exposure],
     rounds: Sequence[int],
-    measure: Callable[[Sequence[Way], range], FloatArray],
-) -> list[Way]:
+    measure: Callable[[Sequence[Exposure], range], FloatArray],
+) -> list[Exposure]:
     """Measure a group, ever fewer of it on more photographs."""
     remaining = list(group)
     levels = np.empty((len(group), 0))
-    lost: list[tuple[Way, FloatArray, float]] = []  # with what it is behind the best of its round
+    lost: list[
+        tuple[Exposure, FloatArray, float]
+    ] = []  # with what it is behind the best of its round
     for number in rounds:
         levels = np.hstack([levels, measure(remaining, range(levels.shape[1], number))])
         order = np.argsort(-levels.mean(axis=1), kind="stable")
@@ -240,8 +245,8 @@ def _halved(
     ]
 
 
-def _stated(modelled: Way, photos_db: FloatArray, psnr_db: float | None = None) -> Way:
-    """Way with its measured figures; the model's at equal light is shifted as much."""
+def _stated(modelled: Exposure, photos_db: FloatArray, psnr_db: float | None = None) -> Exposure:
+    """Exposure with its measured figures; the model's at equal light is shifted as much."""
     if psnr_db is None:
         psnr_db = float(photos_db.mean())
     return replace(

@@ -25,11 +25,11 @@ from cep.search.code_search import (
 )
 from cep.search.cost import FINE, CodeCost
 from cep.search.exhaustive.exact import codes_to_count
+from cep.search.exposures import ExposureFinder, check_light
 from cep.search.optimized_code import OptimizedCode, described, stored_code
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
 from cep.search.verdict import verdict
-from cep.search.ways import WayFinder, check_light
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -226,7 +226,7 @@ def _for_less_light(
 
     Only those that no baseline within the limits beats by the objective, with their cost, dB.
     """
-    finder = WayFinder(problem)
+    finder = ExposureFinder(problem)
     camera = problem.camera
     starts = [search.code]
     # each search starts from the codes for more light: they are near

@@ -97,7 +97,7 @@ class OptimizedCode:
             *(
                 "the code saturates at this light: search with fewer open chips, or give what can"
                 " be recorded"
-                for exposure in self.verdict.ways
+                for exposure in self.verdict.exposures
                 if exposure.saturates and exposure.code.bits == self.code.bits
             ),
             *(self.chip_count.warnings if self.chip_count else ()),

@@ -1,7 +1,7 @@
 """Figures, MTFs and photos of one code after another along a motion, fast enough to follow a hand.
 
-What a code does not change is computed once and kept: the OTFs of the chips, and the ways to
-expose without a code.
+What a code does not change is computed once and kept: the OTFs of the chips, and the exposures
+without a code.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from cep.proofs.audit import with_proven_zero
 from cep.proofs.measure import CodeMetrics
 from cep.restoration.wiener import wiener
 from cep.search.expected import ExpectedPsnr
+from cep.search.exposures import Exposure, ExposureFinder, check_light, judged_exposures, kind_of
 from cep.search.limits import Limits, RunLimits
 from cep.search.measured import corrected, shifts_db
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict, verdict_of
-from cep.search.ways import Way, WayFinder, check_light, judged_ways, kind_of
 from hw.device import DeviceProfile
 from hw.program import Program
 from motdiff.simulate import valid_window
@@ -119,7 +119,9 @@ class LiveBench:
         self.axis = main_axis(scenario.trajectory)
         # what the model's gains lack on photographs, by the kind of exposure
         self._shifts_db = shifts_db(scenario.trajectory, problem.camera)
-        self._ways: tuple[float, tuple[Way, ...]] | None = None  # of the latest error of the path
+        self._exposures: tuple[float, tuple[Exposure, ...]] | None = (
+            None  # of the latest error of the path
+        )
         self._expected: tuple[float, ExpectedPsnr] | None = None  # of this error
         self._finding = threading.Lock()
 
@@ -152,9 +154,9 @@ class LiveBench:
         return self.figures(ShutterCode("1" * self.problem.chips))
 
     def verdict(self, code: ShutterCode, *, path_error_px: float = 0.0) -> Verdict:
-        """Judge a code beside the ways to expose without one.
+        """Judge a code beside the exposures without one.
 
-        The first call for a motion and an error finds and judges these ways, which takes some
+        The first call for a motion and an error finds and judges these, which takes some
         seconds; later ones judge the code alone.
 
         Parameters
@@ -166,17 +168,17 @@ class LiveBench:
         Raises
         ------
         ValueError
-            If even the shortest opening saturates at the camera's light, or no way keeps the
+            If even the shortest opening saturates at the camera's light, or no exposure keeps the
             limits.
         """
         check_light(self.problem)
         with self._finding:
-            if self._ways is None or self._ways[0] != path_error_px:
-                codes = WayFinder(self.problem).ordinary(
+            if self._exposures is None or self._exposures[0] != path_error_px:
+                codes = ExposureFinder(self.problem).ordinary(
                     self.problem.camera, every_length=path_error_px > 0
                 )
-                self._ways = path_error_px, self._judged(codes, path_error_px)
-            candidates = self._ways[1]
+                self._exposures = path_error_px, self._judged(codes, path_error_px)
+            candidates = self._exposures[1]
             if not any(candidate.code.bits == code.bits for candidate in candidates):
                 candidates = (*candidates, self._judged([code], path_error_px)[-1])
         return verdict_of(self.problem, candidates, [code], path_error_px=path_error_px)
@@ -195,7 +197,7 @@ class LiveBench:
         with self._finding:
             self._expected = None
 
-    def _judged(self, codes: Sequence[ShutterCode], path_error_px: float) -> tuple[Way, ...]:
+    def _judged(self, codes: Sequence[ShutterCode], path_error_px: float) -> tuple[Exposure, ...]:
         if self._expected is None or self._expected[0] != path_error_px:
             self._expected = None  # before the next one is made
             expected = ExpectedPsnr(
@@ -204,7 +206,7 @@ class LiveBench:
             self._expected = path_error_px, expected
         problem = self.problem
         expected = self._expected[1]
-        (exposures,) = judged_ways(
+        (exposures,) = judged_exposures(
             problem, [problem.camera], codes, path_error_px=path_error_px, expected=expected
         )
         return tuple(corrected(exposure, self._shifts_db, 1.0) for exposure in exposures)

@@ -18,7 +18,7 @@ from cep.files.code_files import StoredCode, code_document
 from cep.files.formatting import duration
 from cep.files.images import encode_image
 from cep.optics.camera import camera_names
-from cep.plots.advice import WAY_NAMES
+from cep.plots.advice import EXPOSURE_NAMES
 from cep.report.scene import bundled_picture
 from cep.shutter.play import on_ticks
 from cep.studio import catalogue
@@ -35,7 +35,7 @@ _BENCHES = 6  # motions, cameras and shutters kept; a few MB each
 _SCENE_PX = 256  # side of the photos that are shown
 _LEAST_PX = 64  # of the scene that a motion must leave of it: less shows nothing
 _FLOOR_DB = 50.0  # of the map's 8 bits
-_WORDS = {"open": "open shutter", **WAY_NAMES}
+_WORDS = {"open": "open shutter", **EXPOSURE_NAMES}
 
 
 class Views:
@@ -131,7 +131,7 @@ class Views:
         return images
 
     def verdict(self, setting: Setting) -> dict[str, Any]:
-        """Return what to do with this code at this light, and the ways it is compared with."""
+        """Return what to do with this code at this light, and what it is compared with."""
         bench, error = self._bench(setting)
         if error is not None:
             raise error
@@ -142,14 +142,14 @@ class Views:
         except ValueError as wrong:
             raise FieldError.of(wrong, fallback="photons") from None
         best = {kind: verdict.best(kind) for kind in ("open", "snapshot", "strobe")}
-        psnrs = {exposure.code.bits: exposure.psnr_db for exposure in verdict.ways}
+        psnrs = {exposure.code.bits: exposure.psnr_db for exposure in verdict.exposures}
         return _plain(
             {
                 "sentence": verdict.sentence,
                 "choice": verdict.choice,
                 "gains_db": verdict.gains_db,
                 "psnr_db": psnrs[setting.bits],
-                "open_psnr_db": verdict.ways[0].psnr_db,
+                "open_psnr_db": verdict.exposures[0].psnr_db,
                 "ways": [
                     {"name": _WORDS[kind], **exposure.to_dict()}
                     for kind, exposure in best.items()

@@ -23,11 +23,19 @@ from cep.search.code_search import (
     searched_problem,
 )
 from cep.search.expected import equal_light_noise, light_noise
+from cep.search.exposures import (
+    CODED,
+    Choice,
+    Exposure,
+    ExposureFinder,
+    best_possible,
+    check_light,
+    judged_exposures,
+)
 from cep.search.optimized_code import certificate_warnings
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict
-from cep.search.ways import CODED, Choice, Way, WayFinder, best_possible, check_light, judged_ways
 from lab.frames.annealing import FramesResult, anneal_frames, joint_figures
 from lab.frames.expected import joint_psnr_db
 from motdiff.files.outputs import new_files
@@ -248,12 +256,12 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
     frames = len(codes)
     camera = problem.camera
     # M frames have an Mth of the noise, for which another length of exposure may be the best
-    ordinary = WayFinder(problem).ordinary(camera, every_length=True)
+    ordinary = ExposureFinder(problem).ordinary(camera, every_length=True)
     alike = len({code.bits for code in codes}) == 1  # then they are a way repeated, like others
     kind: Choice = "code"
     if all(code.pulses == 1 for code in codes):
         kind = "snapshot"
-    exposures = judged_ways(
+    exposures = judged_exposures(
         problem,
         [camera],
         [*ordinary, *codes[: int(alike)]],
@@ -268,8 +276,8 @@ def frames_verdict(problem: SearchProblem, codes: Sequence[ShutterCode]) -> Verd
             for model in (light_noise, equal_light_noise)
         ]
         at_time, at_light = joint_psnr_db(problem, codes, noise=noise)
-        frame_exposures = judged_ways(problem, [camera], codes, path_error_px=0.0)[0][1:]
-        searched = Way(
+        frame_exposures = judged_exposures(problem, [camera], codes, path_error_px=0.0)[0][1:]
+        searched = Exposure(
             kind,
             codes[0],
             float(at_time),

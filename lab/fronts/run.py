@@ -17,9 +17,9 @@ from cep.optics.path_limits import check_frame, check_resolved
 from cep.plots.canvas import save
 from cep.proofs.measure import HOPELESS_DB
 from cep.search.code_search import SearchOptions
+from cep.search.exposures import check_light
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict, verdict
-from cep.search.ways import check_light
 from lab.fronts.front import Front, FrontPoint, knees
 from lab.fronts.pareto import front_points, pareto_front
 from lab.fronts.plot import pareto_figure

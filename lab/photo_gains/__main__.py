@@ -13,8 +13,9 @@ import cep
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.photographs.trial import PhotoTrial
+from cep.search.exposures import gain_range_db
 from cep.search.problem import SearchProblem
-from cep.search.verdict import Verdict, gain_range_db
+from cep.search.verdict import Verdict
 from lab.photo_gains.photographs import load_scenes
 from motdiff.motions import boracchi_foi, quadratic
 from motdiff.trajectory import Trajectory

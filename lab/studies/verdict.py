@@ -18,8 +18,8 @@ import numpy as np
 
 from cep.optics.camera import Camera
 from cep.search.advise import advise
+from cep.search.exposures import gain_range_db
 from cep.search.problem import SearchProblem
-from cep.search.verdict import gain_range_db
 from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory

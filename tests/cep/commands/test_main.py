@@ -452,7 +452,7 @@ def test_optimize_interrupted_keeps_the_best(cep, workplace, monkeypatch):
 def test_an_interrupt_while_the_number_of_chips_is_chosen_keeps_the_best(
     cep, workplace, monkeypatch
 ):
-    from cep.search import ways as module
+    from cep.search import exposures as module
 
     def interrupted_soon(problem, **options):
         def stop(_fraction, _best):

@@ -143,12 +143,12 @@ def test_the_kinds_of_a_verdict():
         ShutterCode(bits)
         for bits in ("110110110110", "110110110100", "111000000111", "110110010110")
     ]
-    kinds = [way.kind for way in verdict(along(chips=12, camera=NOISY), *codes).ways]
+    kinds = [way.kind for way in verdict(along(chips=12, camera=NOISY), *codes).exposures]
     assert kinds[0] == "open"
     assert [
         way.kind
         for code in codes
-        for way in verdict(along(chips=12), code).ways
+        for way in verdict(along(chips=12), code).exposures
         if way.code == code
     ] == [
         "strobe",
@@ -169,7 +169,7 @@ def test_the_sentence_names_what_was_judged():
     assert "; no code that was tried is better. " in single.sentence
     assert " dB over " not in single.sentence.partition("over the open shutter")[2]
     gain = coded.advised.psnr_db - next(
-        way.psnr_db for way in coded.ways if way.code.bits == "110100101011" * 2
+        way.psnr_db for way in coded.exposures if way.code.bits == "110100101011" * 2
     )
     assert f" and about {gain:.1f} dB over this code. " in coded.sentence
 
@@ -255,7 +255,7 @@ def test_a_path_known_less_exactly_is_judged_on_every_single_exposure():
     found = verdict(problem, path_error_px=2.0)
     assert found.advised.psnr_db >= best - WORTH_DB
     assert max(
-        way.psnr_db for way in found.ways if way.kind in ("open", "snapshot")
+        way.psnr_db for way in found.exposures if way.kind in ("open", "snapshot")
     ) == pytest.approx(best)
 
 
@@ -265,7 +265,7 @@ def test_at_equal_light_the_best_exposure_is_another():
     assert shortest.code.open_chips < found.best("snapshot").code.open_chips
     assert (
         found.equal_light_gains_db["snapshot"]
-        == shortest.equal_light_db - found.ways[0].equal_light_db
+        == shortest.equal_light_db - found.exposures[0].equal_light_db
     )
 
 
@@ -316,7 +316,7 @@ def test_ways_that_saturate_are_no_ways():
     )
     here = advice.here
     assert {way.code.open_chips for way in here.possible} == {1, 2}
-    assert all(way.saturates == (way.code.open_chips > 2) for way in here.ways)
+    assert all(way.saturates == (way.code.open_chips > 2) for way in here.exposures)
     assert advice.choice == "snapshot"
     assert here.open_saturates
     assert "open" not in here.gains_db
@@ -344,7 +344,7 @@ def test_a_code_within_what_can_be_recorded_is_searched():
 def test_dark_current_fills_the_well_of_a_code_and_not_of_a_snapshot():
     warm = replace(SMALL, photons_full_scale=8_000.0, dark_current_e_s=4_000 / 0.024)
     bits = ("1000001" + "0" * 17, "101010" * 4, "1" * 8 + "0" * 16, "1" * 12 + "0" * 12)
-    found = verdict(along(camera=warm, exposure_s=0.024), *map(ShutterCode, bits)).ways
+    found = verdict(along(camera=warm, exposure_s=0.024), *map(ShutterCode, bits)).exposures
     ways = {way.code.bits: way for way in found}
     # 667 + 4,000, 4,000 + 4,000, 2,667 + 1,333 and 4,000 + 2,000 electrons
     assert [ways[code].saturates for code in bits] == [False, True, False, True]
@@ -386,7 +386,7 @@ def test_dark_current_counts():
     found, without = (
         {
             way.code.bits: way
-            for way in verdict(along(camera=camera, exposure_s=0.024), ShutterCode(code)).ways
+            for way in verdict(along(camera=camera, exposure_s=0.024), ShutterCode(code)).exposures
         }
         for camera in (warm, replace(cold, read_noise_e=float(np.sqrt(4 + 2400))))
     )
@@ -398,7 +398,7 @@ def test_dark_current_counts():
         along(camera=replace(cold, read_noise_e=float(np.sqrt(4 + 100))), exposure_s=0.024)
     )
     assert found[shortest].psnr_db == pytest.approx(
-        next(w.psnr_db for w in own.ways if w.code.bits == shortest)
+        next(w.psnr_db for w in own.exposures if w.code.bits == shortest)
     )
 
 

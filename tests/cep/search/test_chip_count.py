@@ -4,7 +4,7 @@ tried."""
 import pytest
 
 from cep.optics.camera import Camera
-from cep.search import ways
+from cep.search import exposures
 from cep.search.chip_count import choose_chips
 from cep.search.expected import WORTH_DB
 from cep.search.problem import SearchProblem
@@ -52,8 +52,8 @@ def interrupted_at(monkeypatch, number):
 
         return real(problem, **options, progress=stop if len(calls) > number else None)
 
-    real = ways.anneal
-    monkeypatch.setattr(ways, "anneal", anneal)
+    real = exposures.anneal
+    monkeypatch.setattr(exposures, "anneal", anneal)
     return calls
 
 
@@ -74,6 +74,6 @@ def test_an_interrupt_before_any_search_leaves_no_code(monkeypatch):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(ways, "best_snapshot", interrupted)
+    monkeypatch.setattr(exposures, "best_snapshot", interrupted)
     found = choose_chips(along, (6, 12))
     assert (found.chips, found.code, found.early) == (6, None, "interrupted")

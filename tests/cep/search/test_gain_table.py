@@ -63,5 +63,5 @@ def test_an_advice_is_shifted_at_every_light_and_stays_about():
     assert "about" in moved.sentence
     for before, after in zip(model.levels, moved.levels, strict=True):
         shifts = shifts_db(path, before.camera)
-        for old, new in zip(before.ways, after.ways, strict=True):
+        for old, new in zip(before.exposures, after.exposures, strict=True):
             assert new.psnr_db == pytest.approx(old.psnr_db + shifts[old.kind])

@@ -13,10 +13,10 @@ from cep.optics.scene import PHOTO, SCENES
 from cep.photographs.scenes import photographs
 from cep.photographs.trial import PhotoTrial
 from cep.search.cost import CodeCost
+from cep.search.exposures import Exposure, gain_range_db
 from cep.search.measured import LONGEST_PX, corrected, corrections_db
 from cep.search.problem import SearchProblem
-from cep.search.verdict import gain_range_db, verdict
-from cep.search.ways import Way
+from cep.search.verdict import verdict
 from motdiff.trajectory import Trajectory
 
 NOISY = Camera(photons_full_scale=10_000, read_noise_e=50, bits=16)
@@ -41,9 +41,9 @@ def judged(problem, few):
 def test_every_figure_is_one_that_photographs_show(problem, few, judged):
     trial = PhotoTrial([Trajectory.straight(12.0)], few, camera=NOISY)
     assert judged.photographs == 2
-    in_full = [way for way in judged.ways if len(way.photo_psnr_db) == 2]
+    in_full = [way for way in judged.exposures if len(way.photo_psnr_db) == 2]
     assert {"open", "code", "snapshot"} <= {way.kind for way in in_full}
-    for way in (judged.ways[0], judged.user_code, judged.best("snapshot")):
+    for way in (judged.exposures[0], judged.user_code, judged.best("snapshot")):
         levels = trial.psnr_db([way.code])[0]
         assert way.photo_psnr_db == pytest.approx(levels.tolist())
         assert way.psnr_db == pytest.approx(levels.mean())
@@ -89,7 +89,7 @@ def test_photographs_choose_among_the_codes_and_the_noise_is_of_the_seed(problem
         cep.advise(problem, levels=[], photographs=few[:1], seed=seed) for seed in (0, 0, 1)
     )
     assert first.to_dict() == second.to_dict()
-    levels = [advice.here.ways[0].photo_psnr_db for advice in (first, other)]
+    levels = [advice.here.exposures[0].photo_psnr_db for advice in (first, other)]
     assert levels[0] != levels[1]
 
 
@@ -108,24 +108,33 @@ def test_other_light_is_shifted_towards_what_was_measured(problem, few):
     assert abs(far) < abs(near)
 
 
-def test_corrections_are_of_the_best_way_of_each_kind():
-    model = [Way("open", ShutterCode("11"), 20.0, 20.0), Way("snapshot", CODE, 24.0, 25.0)]
-    measured = [Way("open", ShutterCode("11"), 21.0, 21.0), Way("snapshot", CODE, 23.0, 24.0)]
+def test_corrections_are_of_the_best_exposure_of_each_kind():
+    model = [
+        Exposure("open", ShutterCode("11"), 20.0, 20.0),
+        Exposure("snapshot", CODE, 24.0, 25.0),
+    ]
+    measured = [
+        Exposure("open", ShutterCode("11"), 21.0, 21.0),
+        Exposure("snapshot", CODE, 23.0, 24.0),
+    ]
     shifts = corrections_db(model, measured)
     assert shifts == {"open": 1.0, "snapshot": -1.0}
     assert corrected(model[1], shifts, 0.5).psnr_db == 23.5
-    strobe = Way("strobe", CODE, 22.0, 22.0)
+    strobe = Exposure("strobe", CODE, 22.0, 22.0)
     assert corrected(strobe, shifts, 1.0).psnr_db == 22.0  # not measured: the mean of the others
 
 
 def test_a_range_leaves_out_the_least_and_the_greatest_of_many():
     code, single = (
-        Way("code", CODE, 0.0, 0.0, photo_psnr_db=levels)
+        Exposure("code", CODE, 0.0, 0.0, photo_psnr_db=levels)
         for levels in ((1.0, 5.0, 3.0, 9.0, 2.0), (0.0,) * 5)
     )
     assert gain_range_db(code, single) == (2.0, 5.0)
-    assert gain_range_db(code, Way("open", CODE, 0.0, 0.0, photo_psnr_db=(0.0, 0.0))) == (1.0, 5.0)
-    assert gain_range_db(code, Way("open", CODE, 0.0, 0.0)) is None
+    assert gain_range_db(code, Exposure("open", CODE, 0.0, 0.0, photo_psnr_db=(0.0, 0.0))) == (
+        1.0,
+        5.0,
+    )
+    assert gain_range_db(code, Exposure("open", CODE, 0.0, 0.0)) is None
 
 
 def test_a_motion_longer_than_photographs_is_left_to_the_model(few):
@@ -145,7 +154,7 @@ def test_optimize_returns_the_code_that_photographs_prefer(problem, few):
 
     best = cep.optimize(along(12), steps=2_000, photographs=few[:1])
     assert best.verdict.user_code.code.bits == best.code.bits
-    codes = [way for way in best.verdict.ways if way.kind == "code" and way.possible]
+    codes = [way for way in best.verdict.exposures if way.kind == "code" and way.possible]
     assert best.verdict.user_code.psnr_db == max(way.psnr_db for way in codes)
     # still no worse by the objective than what it is compared with
     costs = [row.metrics.mse_db for row in best.comparison if row.within_limits]

@@ -57,8 +57,8 @@ def test_gains_are_the_models_shifted_by_what_photographs_show():
     )
     bench = LiveBench(problem)
     table_db = shifts_db(example_motion("shake"), CAMERA)
-    modelled = {way.code.bits: way for way in verdict(problem, CODE, photographs=()).ways}
-    for way in bench.verdict(CODE).ways:
+    modelled = {way.code.bits: way for way in verdict(problem, CODE, photographs=()).exposures}
+    for way in bench.verdict(CODE).exposures:
         expected_db = modelled[way.code.bits].psnr_db + table_db[way.kind]
         assert way.psnr_db == pytest.approx(expected_db, abs=1e-4)
     live = bench.figures(CODE)

@@ -99,7 +99,7 @@ def shifted_verdict(read):
     code, error_px = read.code(), read.path_error_px
     modelled = verdict(read.problem(), code, path_error_px=error_px, photographs=())
     shifts = shifts_db(read.trajectory, read.sensor)
-    ways = tuple(corrected(way, shifts, 1.0) for way in modelled.ways)
+    ways = tuple(corrected(way, shifts, 1.0) for way in modelled.exposures)
     return verdict_of(read.problem(), ways, [code], path_error_px=error_px)
 
 

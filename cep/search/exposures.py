@@ -1,4 +1,4 @@
-"""Ways to expose for a motion: which are tried, and the restoration expected of each."""
+"""Exposures for a motion: open shutter, snapshots, strobes, codes; which are tried, and judged."""
 
 from __future__ import annotations
 
@@ -31,7 +31,10 @@ KINDS = (*PLAIN, *CODED)
 """All kinds, the simplest first."""
 
 NONE_POSSIBLE = "limits: none of the ways to expose that were tried keeps them without saturating"
-"""Refusal where no way can be advised."""
+"""Refusal where no exposure can be advised."""
+
+TRIMMED_FROM = 5
+"""Photographs from which the least and the greatest gain are left out of a range."""
 
 _NAMES = {
     "open": "open shutter",
@@ -55,8 +58,8 @@ _ROUNDED = 1e-3  # relative: a camera's figures are stated to three digits
 
 
 @dataclass(frozen=True)
-class Way:
-    """A way to expose.
+class Exposure:
+    """A way to expose: open all the time, once, in even pulses, or by a code.
 
     Attributes
     ----------
@@ -115,8 +118,8 @@ class Way:
         }
 
 
-class WayFinder:
-    """Search of the ways to expose along a problem's motions, at any light.
+class ExposureFinder:
+    """Search of the exposures along a problem's motions, at any light.
 
     Parameters
     ----------
@@ -316,7 +319,7 @@ def check_light(problem: SearchProblem) -> None:
         )
 
 
-def judged_ways(
+def judged_exposures(
     problem: SearchProblem,
     cameras: Sequence[Camera],
     codes: Sequence[ShutterCode],
@@ -324,7 +327,7 @@ def judged_ways(
     path_error_px: float,
     frames: int = 1,
     expected: ExpectedPsnr | None = None,
-) -> list[tuple[Way, ...]]:
+) -> list[tuple[Exposure, ...]]:
     """Judge the open shutter, first, and every code, at the light of every camera.
 
     Parameters
@@ -341,8 +344,8 @@ def judged_ways(
 
     Returns
     -------
-    list of tuple of Way
-        For each camera, the ways in the order of the codes without repetitions.
+    list of tuple of Exposure
+        For each camera, the exposures in the order of the codes without repetitions.
     """
     # several searches may find the same code
     bits = dict.fromkeys(["1" * problem.chips, *(code.bits for code in codes)])
@@ -363,13 +366,13 @@ def judged_ways(
         saturates = (electrons > _full_e(camera)).tolist()
         psnr_db, equal_light_db = psnr[:, index].T.tolist()
         judgements.append(
-            tuple(map(Way, kinds, distinct, psnr_db, equal_light_db, allowed, saturates))
+            tuple(map(Exposure, kinds, distinct, psnr_db, equal_light_db, allowed, saturates))
         )
     return judgements
 
 
-def best_possible(exposures: Sequence[Way]) -> Way:
-    """Return the way of the highest expected PSNR that keeps the limits and does not saturate.
+def best_possible(exposures: Sequence[Exposure]) -> Exposure:
+    """Return the exposure of the highest expected PSNR within the limits that does not saturate.
 
     Raises
     ------
@@ -382,11 +385,23 @@ def best_possible(exposures: Sequence[Way]) -> Way:
     return max(possible, key=attrgetter("psnr_db"))
 
 
-def simplest(exposures: Sequence[Way]) -> Way:
-    """Return the best way of the simplest kind that none beats by ``WORTH_DB``."""
+def simplest(exposures: Sequence[Exposure]) -> Exposure:
+    """Return the best exposure of the simplest kind that none beats by ``WORTH_DB``."""
     highest = max(exposure.psnr_db for exposure in exposures)
     equal = [exposure for exposure in exposures if exposure.psnr_db > highest - WORTH_DB]
     return min(equal, key=lambda exposure: (KINDS.index(exposure.kind), -exposure.psnr_db))
+
+
+def gain_range_db(exposure: Exposure, alternative: Exposure) -> tuple[float, float] | None:
+    """Range of the gain of an exposure over another on photographs, dB; None without any.
+
+    The least and the greatest gain are left out where :data:`TRIMMED_FROM` photographs are.
+    """
+    pairs = zip(exposure.photo_psnr_db, alternative.photo_psnr_db, strict=False)
+    gains = sorted(psnr_db - alternative_db for psnr_db, alternative_db in pairs)
+    if len(gains) >= TRIMMED_FROM:
+        gains = gains[1:-1]
+    return (gains[0], gains[-1]) if gains else None
 
 
 def _full_e(camera: Camera) -> float:

@@ -7,8 +7,8 @@ from cep.optics.camera import Camera
 from cep.search.annealing.anneal import anneal
 from cep.search.cost import CodeCost
 from cep.search.expected import ExpectedPsnr, light_noise
+from cep.search.exposures import ExposureFinder
 from cep.search.problem import SearchProblem
-from cep.search.ways import WayFinder
 from motdiff.trajectory import Trajectory
 
 
@@ -27,7 +27,7 @@ def test_a_code_of_a_long_motion_is_found_on_fewer_samples():
     thorough = anneal(
         problem, rng=np.random.default_rng(0), steps=100_000, time_s=np.inf, judge=whole
     )
-    finder = WayFinder(problem)
+    finder = ExposureFinder(problem)
     found = finder.codes(camera, finder.ordinary(camera), seed=0, threads=None)
     codes = [*found, thorough.code]
     quick, slow = expected_psnr_db(problem, codes, noise=[light_noise(camera, codes)])[:, 0]
@@ -51,7 +51,7 @@ def test_six_nodes_across_a_straight_motion_are_as_good_as_twelve(length):
 def test_light_that_no_code_can_record_leaves_single_exposures():
     camera = Camera(photons_full_scale=30_000, full_well_e=4_000.0)  # an eighth: one chip of eight
     problem = SearchProblem.along(Trajectory.straight(8.0), chips=8, camera=camera)
-    finder = WayFinder(problem)
+    finder = ExposureFinder(problem)
     tried = finder.ordinary(camera)
     assert any(code.open_chips == 1 for code in tried)
     assert all(code.open_chips == 1 for code in finder.codes(camera, tried, seed=0, threads=None))
