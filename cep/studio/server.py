@@ -40,15 +40,8 @@ from cep.studio.work import KINDS
 from motdiff.estimators.registry import blind_methods
 from motdiff.files.json_files import plain
 
-_STATIC = {
-    "index.html": "text/html; charset=utf-8",
-    "studio.css": "text/css; charset=utf-8",
-    "studio.js": "text/javascript; charset=utf-8",
-    "shot.js": "text/javascript; charset=utf-8",
-    "state.js": "text/javascript; charset=utf-8",
-    "strip.js": "text/javascript; charset=utf-8",
-    "plots.js": "text/javascript; charset=utf-8",
-}
+_STATIC = {file.name: file for file in (resources.files("cep.studio") / "static").iterdir()}
+_TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
 # answers to errors, RFC 9110: unprocessable content, conflict, content too large, timeout
 _STATUS = {FieldError: 422, BusyError: 409, TooLargeError: 413, LateError: 408}
 _BEAT_S = 15.0  # a page that has gone is noticed when it is written to
@@ -447,12 +440,13 @@ async def _events(jobs: Jobs, queue: asyncio.Queue[Job | None]) -> AsyncIterator
 
 
 def _static(name: str) -> Response:
-    if name not in _STATIC:
+    media_type = _TYPES.get(name.rpartition(".")[2])
+    if name not in _STATIC or media_type is None:
         raise HTTPException(404)
-    content = (resources.files("cep.studio") / "static" / name).read_bytes()
+    content = _STATIC[name].read_bytes()
     if name == "index.html":
         content = content.replace(b"{raw_suffixes}", ",".join(RAW_SUFFIXES).encode())
-    return Response(content, media_type=_STATIC[name])
+    return Response(content, media_type=media_type)
 
 
 def _bundled_photo() -> bytes:

@@ -241,7 +241,11 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
         progress=lambda share, note: tell(share, note),
     )
     advice = shifted(advice)
-    return advice.to_dict() | {"where": advice.where, "sentence": advice.here.sentence}
+    return advice.to_dict() | {
+        "recommendation": advice.here.recommendation,
+        "conditions": advice.here.conditions,
+        "where": advice.where,
+    }
 
 
 def _play(order: Order, tell: Tell) -> Mapping[str, Any]:

@@ -1,13 +1,14 @@
 // The card that takes a photo with a camera: its fields, the last frame with its histogram, the restored photo, the verdict.
 
+import { $, holding, sentence } from "./dom.js";
 import { drawHistogram } from "./plots.js";
+import { remember, remembered } from "./state.js";
 
-const $ = (id) => document.getElementById(id);
 const FIELDS = ["shot_camera", "shot_port", "shot_release"];
 let photo = null; // the last one, as it is shown
 
-/** Wire the card: `begin` asks for the job with its fields, `stop` ends it; `remember` and `remembered` keep the fields of this tab. */
-export function wireShot({ begin, stop, remember, remembered }) {
+/** Wire the card: `begin` asks for the job with its fields, `stop` ends it. */
+export function wireShot({ begin, stop }) {
   const before = remembered("studio-shot") ?? {};
   for (const field of FIELDS) {
     if (before[field] !== undefined) $(field).value = before[field];
@@ -52,10 +53,6 @@ export function showShot(found) {
   else $("shot-restored").removeAttribute("src");
   drawHistogram($("shot-histogram"), found.histogram, found.clipped);
   $("shot-verdict").textContent = sentence(`the photo ${found.verdict}`);
-  $("shot-warnings").replaceChildren(...found.warnings.map((text) => { const item = document.createElement("li"); item.textContent = sentence(text); return item; }));
+  $("shot-warnings").replaceChildren(...found.warnings.map((text) => holding("li", sentence(text))));
   $("shot-save").href = `/api/photo/${found.photo}/shot.zip`;
-}
-
-function sentence(text) {
-  return text.charAt(0).toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? "" : ".");
 }

@@ -130,3 +130,13 @@ function unpacked(direction, scale, bytes) {
 function base64(bytes) {
   return btoa(String.fromCharCode(...bytes)).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
 }
+
+// -- memory of this tab -----------------------------------------------------------------------------------------------------
+
+export function remembered(name) {
+  try { return JSON.parse(sessionStorage.getItem(name)); } catch { return null; }
+}
+
+export function remember(name, value) {
+  try { sessionStorage.setItem(name, JSON.stringify(value)); } catch { /* it is only a comfort */ }
+}

@@ -1,16 +1,21 @@
 // The page: what the hand changes becomes the state, the state becomes the address, and everything follows it.
 
-import { DEFAULTS, SIDES, fromAddress, isCode, settingOf, settled, toAddress } from "./state.js";
-import { miniature, Strip } from "./strip.js";
-import { busyShot, showShot, wireShot } from "./shot.js";
+import { $, holding, put, say, sentence } from "./dom.js";
+import { EDITS, mostChips, resized } from "./edits.js";
 import { drawCurves, drawGains, drawMap, drawOnPhoto, drawPath, drawPlayed } from "./plots.js";
+import { Refused, ask, calm, complain, post, upload } from "./server.js";
+import { busyShot, showShot, wireShot } from "./shot.js";
+import { DEFAULTS, SIDES, fromAddress, isCode, remember, remembered, settingOf, settled, toAddress } from "./state.js";
+import { Strip } from "./strip.js";
+import { digits, drawRows, noise } from "./table.js";
 
-const $ = (id) => document.getElementById(id);
-const page = named("studio-page", () => crypto.randomUUID().replaceAll("-", ""));
+const page = remembered("studio-page") ?? crypto.randomUUID().replaceAll("-", "");
+remember("studio-page", page);
 // a page that is loaded again goes on from its last change, which its address may not have yet
 const reloaded = performance.getEntriesByType("navigation")[0]?.type === "reload" ? remembered("studio-address") : null;
 let state = fromAddress(reloaded ?? location.hash);
-let revision = 0, shown = null, judged = null, advice = remembered("studio-advice"), openMap = null, estimate = remembered("studio-estimate"), job = null, known = null;
+let revision = 0, shown = null, judged = null, openMap = null, job = null, known = null;
+let advice = remembered("studio-advice"), estimate = remembered("studio-estimate");
 let design = state.bits; // the code as the hand or a search has chosen it: a shorter motion shows fewer of its chips
 let refused = null; // settings of the last verdict that was refused, and its message
 const past = [], future = [];
@@ -19,27 +24,7 @@ const strip = new Strip($("strip"), (bits, done) => {
   change({ bits, search: null }, { recorded: true });
 });
 
-// -- the server ---------------------------------------------------------------------------------------------------------
-
-class Refused extends Error {
-  constructor(field, message) { super(message); this.field = field; }
-}
-
-async function ask(address, options = {}) {
-  let answer;
-  try {
-    answer = await fetch(address, options);
-  } catch {
-    throw new Refused("page", "The studio no longer answers: start cep studio again, and open the address that it prints. Nothing here is lost.");
-  }
-  const text = await answer.text();
-  let found = {};
-  try { found = JSON.parse(text); } catch { /* a refusal in plain text */ }
-  if (!answer.ok) throw new Refused(found.error?.field ?? "page", found.error?.message ?? text.slice(0, 200));
-  return found;
-}
-
-const post = (name, body) => ask(`/api/${name}`, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+// -- what follows a change ------------------------------------------------------------------------------------------------
 
 /** Run again as long as something has changed meanwhile: the latest state is the one that counts. */
 function follower(run) {
@@ -53,45 +38,17 @@ function follower(run) {
   };
 }
 
-function complain(error, fields = []) {
-  if (!(error instanceof Refused)) throw error;
-  const box = document.querySelector(`.error[data-for~="${CSS.escape(error.field)}"]`) ?? document.querySelector('.error[data-for~="page"]');
-  box.textContent = sentence(error.message);
-  box.dataset.by = fields.join(" ");
-  for (const input of inputsOf(error.field)) input.setAttribute("aria-invalid", "true");
-}
-
-function calm(by) {
-  for (const box of document.querySelectorAll(".error")) {
-    if (box.dataset.by !== by || !box.textContent) continue;
-    box.textContent = "";
-    for (const name of box.dataset.for.split(" ")) for (const input of inputsOf(name)) input.removeAttribute("aria-invalid");
-  }
-}
-
-/** Inputs that set a field: two for the range of open chips. */
-function inputsOf(field) {
-  return (field === "open" ? ["open-low", "open-high"] : [field]).map($).filter(Boolean);
-}
-
-function sentence(text) {
-  const whole = text.trim();
-  return whole.charAt(0).toUpperCase() + whole.slice(1) + (/[.!?]$/.test(whole) ? "" : ".");
-}
-
-// -- what follows a change ------------------------------------------------------------------------------------------------
-
 const followPicture = follower(async () => {
   const at = revision;
   try {
     const found = await post("picture", { setting: settingOf(state), ...state.search });
     calm("picture");
-    if (found.error) complain(new Refused(found.error.field, found.error.message), ["picture"]);
+    if (found.error) complain(new Refused(found.error.field, found.error.message), "picture");
     shown = found;
     draw();
   } catch (error) {
     shown = null; // figures of another motion say nothing of this one
-    complain(error, ["picture"]);
+    complain(error, "picture");
   }
   document.body.toggleAttribute("data-blank", !shown);
   document.body.dataset.picture = at;
@@ -134,7 +91,7 @@ const followPhotos = follower(async () => {
     }
     calm("photos");
     await Promise.all([showSide("left", left), showSide("right", right)]);
-  } catch (error) { complain(error, ["photos"]); }
+  } catch (error) { complain(error, "photos"); }
   document.body.dataset.photo = at;
 });
 
@@ -156,7 +113,7 @@ const followVerdict = follower(async () => {
   } catch (error) {
     judged = null;
     refused = key;
-    complain(error, ["verdict"]);
+    complain(error, "verdict");
   }
   document.body.dataset.verdict = at;
   drawVerdict();
@@ -172,12 +129,12 @@ function drawVerdict() {
   $("sentence").classList.toggle("stale", !valid);
   $("gains").classList.toggle("stale", !valid);
   if (valid) {
-    const [head, conditions] = cut(advice.sentence);
-    say("sentence", head);
-    say("where", `${advice.where} ${conditions}`);
+    say("sentence", `${advice.recommendation}.`);
+    say("where", `${advice.where} ${advice.conditions}`);
   } else {
     const waits = job?.state === "running" ? WAITS[job.kind] : null;
-    say("sentence", refused === key ? "No verdict: one of the inputs below needs a look." : (waits ?? "Searching the best exposure for this motion and light…"));
+    const searching = waits ?? "Searching the best exposure for this motion and light…";
+    say("sentence", refused === key ? "No verdict: one of the inputs below needs a look." : searching);
     say("where", job?.state === "running" && job.kind === "advise" ? `${Math.round(100 * job.share)} %` : "");
   }
   say("own", verdictNow() ? ownLine(valid) : "");
@@ -194,12 +151,6 @@ const WAITS = {
   sharpen: "The verdict follows when the photo is sharpened.",
   shoot: "The verdict follows when the photo is taken.",
 };
-
-/** What to do, and under which conditions. */
-function cut(text) {
-  const at = text.indexOf(". Gains are");
-  return at < 0 ? [text, ""] : [text.slice(0, at + 1), text.slice(at + 2)];
-}
 
 function ownLine(valid) {
   const single = (valid && advice.ways.snapshot) || judged.ways.find((way) => way.kind === "snapshot" && way.within_limits && !way.saturates);
@@ -218,7 +169,7 @@ const followPins = follower(async () => {
     const pins = Object.fromEntries(state.pins.filter((pin) => pin.bits.length === state.bits.length).map((pin) => [pin.name, pin.bits]));
     pinned = new Map(Object.keys(pins).length ? Object.entries((await post("compare", { setting: settingOf(state), pins })).pins) : []);
     calm("pins");
-  } catch (error) { complain(error, ["pins"]); }
+  } catch (error) { complain(error, "pins"); }
   drawPins();
   drawCurve();
 });
@@ -240,7 +191,7 @@ function followAdvice() {
       await post("job", { page, kind: "advise", setting: settingOf(state) });
     } catch (error) {
       adviceAsked = "";
-      if (error.field !== "job") complain(error, ["verdict"]);
+      if (error.field !== "job") complain(error, "verdict");
     }
   }, 900);
 }
@@ -257,7 +208,8 @@ function change(part, { recorded = false } = {}) {
   keepAddress();
   if (before.bits !== state.bits || before.exposure !== state.exposure) $("played").hidden = true; // of another code
   fill();
-  if (JSON.stringify(settingOf(before)) !== JSON.stringify(settingOf(state)) || before.photo !== state.photo || ["view", "left", "right"].some((name) => before[name] !== state[name])) follow();
+  const isOther = JSON.stringify(settingOf(before)) !== JSON.stringify(settingOf(state));
+  if (isOther || ["photo", "view", "left", "right"].some((name) => before[name] !== state[name])) follow();
   else followPins();
 }
 
@@ -282,7 +234,7 @@ function writeAddress() {
 
 function follow() {
   if (!isCode(state.bits)) {
-    complain(new Refused("bits", "a code is a row of 1 (open) and 0 (closed), of up to 512 chips, with at least one open"), ["picture"]);
+    complain(new Refused("bits", "a code is a row of 1 (open) and 0 (closed), of up to 512 chips, with at least one open"), "picture");
     return;
   }
   document.body.dataset.asked = ++revision;
@@ -342,11 +294,6 @@ function fill() {
   drawEstimate();
 }
 
-function put(id, value) {
-  const text = /number|range/.test($(id).type) && !Number.isFinite(Number(value)) ? "" : String(value); // as an address may have it
-  if (document.activeElement !== $(id) && $(id).value !== text) $(id).value = text;
-}
-
 function draw() {
   const { code, motion, figures, open } = shown;
   say("code-line", `${code.open} of ${code.chips} chips open, ${code.openings} opening${code.openings === 1 ? "" : "s"}, chips of ${code.chip}`);
@@ -356,10 +303,15 @@ function draw() {
   say("broken", code.broken.map(sentence).join(" "));
   drawFacts();
   const zero = figures.min_mtf_lower < 1e-6;
-  figure("min", zero ? "0" : `≥ ${digits(figures.min_mtf_lower)}`, zero && figures.min_mtf > 1e-4 ? `reached ${digits(figures.min_mtf)}; not proven above 0` : `open shutter ${digits(open.min_mtf)}`);
-  figure("noise", figures.noise_gain_db === null ? "> 100 dB" : `${figures.noise_gain_db.toFixed(1)} dB`, open.noise_gain_db === null ? "open shutter > 100 dB" : `open shutter ${open.noise_gain_db.toFixed(1)} dB`);
+  const unproven = zero && figures.min_mtf > 1e-4;
+  figure("min", zero ? "0" : `≥ ${digits(figures.min_mtf_lower)}`,
+    unproven ? `reached ${digits(figures.min_mtf)}; not proven above 0` : `open shutter ${digits(open.min_mtf)}`);
+  figure("noise", `${noise(figures.noise_gain_db)} dB`, `open shutter ${noise(open.noise_gain_db)} dB`);
   figure("light", `${Math.round(100 * code.duty)} %`, `${code.open} / ${code.chips}`);
-  say("path-line", `${motion.length_px.toFixed(1)} px long, ${motion.extent_px.toFixed(1)} px wide; ${motion.both ? "direction unknown: the worse one counts" : motion.direction === "known" ? "direction known" : "either direction is the same"}. Lit where the shutter is open; dots are equal steps of time.`);
+  const isKnown = motion.direction === "known";
+  const direction = motion.both ? "direction unknown: the worse one counts" : isKnown ? "direction known" : "either direction is the same";
+  say("path-line", `${motion.length_px.toFixed(1)} px long, ${motion.extent_px.toFixed(1)} px wide; ${direction}.`
+    + " Lit where the shutter is open; dots are equal steps of time.");
   drawPath($("path"), motion.path, state.bits);
   drawCurve();
   drawMap($("map-code"), shown.map);
@@ -379,11 +331,6 @@ function drawFacts() {
   else figure("psnr", "…", "with the path's error");
 }
 
-/** Put a text into its place: one that is there already is not laid out anew. */
-function say(id, text) {
-  if ($(id).textContent !== text) $(id).textContent = text;
-}
-
 function figure(name, value, delta) {
   say(`f-${name}`, value);
   say(`d-${name}`, delta);
@@ -395,52 +342,26 @@ function drawCurve() {
   drawCurves($("curve"), [{ values: shown.open_curve, class: "open" }, ...pins, { values: shown.curve, class: "code" }]);
 }
 
-const drawnRows = new WeakMap(); // of the table, as they are drawn
 function drawPins() {
   if (!shown) return;
   const figures = { ...shown.figures, psnr_db: ownPsnr()?.psnr_db ?? null };
-  const rows = [{ name: "this code", bits: state.bits, colour: "code", figures }];
-  state.pins.forEach((pin) => {
-    const i = state.pins.filter((one) => pinned.has(one.name)).indexOf(pin);
-    rows.push({ name: pin.name, bits: pin.bits, colour: i < 0 ? "" : `pin${i % 5}`, figures: pinned.get(pin.name), pin });
+  const rows = [{ name: "this code", bits: state.bits, colour: "code", figures, acts: [] }];
+  const measured = state.pins.filter((pin) => pinned.has(pin.name));
+  for (const pin of state.pins) {
+    const i = measured.indexOf(pin);
+    rows.push({ ...pin, colour: i < 0 ? "" : `pin${i % 5}`, figures: pinned.get(pin.name), acts: ["take", "unpin"] });
+  }
+  const exposures = [...(judged?.ways ?? [])];
+  if (advice?.key === adviceKey() && advice.ways.code) exposures.push({ ...advice.ways.code, name: "best code found" });
+  for (const { name, bits, psnr_db, saturates, within_limits } of exposures) {
+    const note = saturates ? "saturates" : within_limits ? "" : "outside the limits";
+    rows.push({ name, bits, figures: { psnr_db }, note, acts: ["take", "pin"] });
+  }
+  drawRows($("pins").tBodies[0], rows, {
+    take: ({ bits }) => change({ bits, search: null }),
+    pin: ({ name, bits }) => pinCode(name, bits),
+    unpin: ({ name }) => change({ pins: state.pins.filter((pin) => pin.name !== name) }),
   });
-  const ways = [...(judged?.ways ?? []), ...(advice?.key === adviceKey() && advice.ways.code ? [{ ...advice.ways.code, name: "best code found" }] : [])];
-  for (const way of ways) rows.push({ name: way.name, bits: way.bits, figures: { psnr_db: way.psnr_db }, way, note: way.saturates ? "saturates" : way.within_limits ? "" : "outside the limits" });
-  const body = $("pins").tBodies[0];
-  while (body.rows.length > rows.length) body.deleteRow(-1);
-  rows.forEach((row, index) => {
-    const looks = JSON.stringify(row), before = body.rows[index];
-    if (before && drawnRows.get(before) === looks) return;
-    const line = document.createElement("tr");
-    drawnRows.set(line, looks);
-    if (!index) line.className = "mark";
-    const head = document.createElement("td");
-    const name = document.createElement("span");
-    name.textContent = row.note ? `${row.name} (${row.note})` : row.name;
-    head.append(name, miniature(row.bits));
-    const light = row.bits.split("1").length - 1;
-    const cells = [`${Math.round((100 * light) / row.bits.length)} %`, value(row.figures?.min_mtf, digits), row.figures && "noise_gain_db" in row.figures ? (row.figures.noise_gain_db === null ? "> 100" : row.figures.noise_gain_db.toFixed(1)) : "–", value(row.figures?.psnr_db, (x) => x.toFixed(2))];
-    line.append(head, ...cells.map((text) => { const cell = document.createElement("td"); cell.className = "n"; cell.textContent = text; return cell; }));
-    const last = document.createElement("td");
-    last.className = "n";
-    if (row.pin || row.way) {
-      last.append(act("take", `Take ${row.name}`, () => change({ bits: row.bits, search: null })));
-      if (row.pin) last.append(" ", act("unpin", `Unpin ${row.name}`, () => change({ pins: state.pins.filter((one) => one.name !== row.pin.name) })));
-      else last.append(" ", act("pin", `Pin ${row.name}`, () => pinCode(row.name, row.bits)));
-    }
-    line.append(last);
-    if (before) before.replaceWith(line); else body.append(line);
-  });
-}
-
-function act(text, label, does) {
-  const made = document.createElement("button");
-  made.type = "button";
-  made.className = "link";
-  made.textContent = text;
-  made.setAttribute("aria-label", label);
-  made.addEventListener("click", does);
-  return made;
 }
 
 let drawnEstimate = []; // estimate, motion and photo as they are drawn
@@ -457,7 +378,7 @@ function drawEstimate() {
   $("confidence").value = estimate.confidence ?? 1;
   $("confidence-text").textContent = estimate.confidence === undefined ? "of a file" : `${Math.round(100 * estimate.confidence)} %`;
   $("confidence").hidden = estimate.confidence === undefined;
-  $("estimate-warnings").replaceChildren(...(estimate.warnings ?? []).map((text) => { const item = document.createElement("li"); item.textContent = text; return item; }));
+  $("estimate-warnings").replaceChildren(...(estimate.warnings ?? []).map((text) => holding("li", text)));
   $("alternatives").replaceChildren(...estimate.paths.map((path, i) => {
     const chosen = state.motion.kind === "path" && same(state.motion, path);
     const made = document.createElement("button");
@@ -466,9 +387,7 @@ function drawEstimate() {
     made.setAttribute("aria-checked", chosen);
     made.setAttribute("aria-label", `Path ${i + 1}: ${path.length_px.toFixed(1)} px, weight ${Math.round(100 * path.weight)} percent`);
     const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-    const label = document.createElement("span");
-    label.textContent = `${Math.round(100 * path.weight)} %`;
-    made.append(svg, label);
+    made.append(svg, holding("span", `${Math.round(100 * path.weight)} %`));
     drawPath(svg, path, "", { dots: false });
     made.addEventListener("click", () => change({ motion: pathOf(path) }));
     return made;
@@ -479,8 +398,6 @@ function drawEstimate() {
 const pathOf = ({ direction, t, x, y }) => settled({ kind: "path", direction, t, x, y });
 const same = (one, other) => JSON.stringify(one.x) === JSON.stringify(pathOf(other).x);
 const signed = (x) => `${x >= 0 ? "+" : "−"}${Math.abs(x).toFixed(2)}`;
-const digits = (x) => (x === 0 ? "0" : x.toPrecision(3));
-const value = (x, how) => (x === undefined || x === null ? "–" : how(x));
 const half = (text) => { const [number, unit] = text.split(" "); return `${(Number(number) / 2).toPrecision(3)} ${unit}`; };
 
 // -- the job --------------------------------------------------------------------------------------------------------------
@@ -490,6 +407,8 @@ function listen() {
   source.onmessage = (event) => heard(JSON.parse(event.data));
 }
 
+const WORK = { search: "Searching", calibrate: "Estimating the motion", sharpen: "Sharpening", play: "Uploading", shoot: "Taking the photo" };
+const HANDLERS = { search: searched, calibrate: calibrated, sharpen: sharpened, advise: advised, play: played, shoot: keepShot };
 let handled = remembered("studio-handled") ?? 0;
 function heard(news) {
   job = news;
@@ -505,10 +424,11 @@ function heard(news) {
   busyShot(ofShot ? news : null);
   if (running && advice?.key !== adviceKey()) drawVerdict(); // it waits for this work
   if (!news) return;
-  const note = mine ? `${{ search: "Searching", calibrate: "Estimating the motion", sharpen: "Sharpening", play: "Uploading", shoot: "Taking the photo" }[news.kind]}${news.note ? `: ${news.note}` : ""}` : "";
+  const note = mine ? `${WORK[news.kind]}${news.note ? `: ${news.note}` : ""}` : "";
   $(ofPhoto ? "drop-share" : "job-share").value = news.share;
   $(ofPhoto ? "drop-note" : "job-note").textContent = note;
-  if (running && news.kind === "search" && news.best.bits && news.best.bits !== state.bits) change({ bits: news.best.bits, search: null }, { recorded: true });
+  const better = running && news.kind === "search" ? news.best.bits : null;
+  if (better && better !== state.bits) change({ bits: better, search: null }, { recorded: true });
   if (running && news.kind === "calibrate" && news.best.preview) showPhoto(`/api/photo/${state.photo}`);
   if (news.kind === "shoot" && news.best.photo) keepShot(running ? news.best : { ...news.best, ...news.result });
   if (running || news.number <= handled) return;
@@ -516,11 +436,11 @@ function heard(news) {
   remember("studio-handled", handled);
   if (news.state === "failed") {
     if (news.kind === "advise") { refused = adviceAsked; drawVerdict(); }
-    complain(new Refused(news.error.field, news.error.message), ["job"]);
+    complain(new Refused(news.error.field, news.error.message), "job");
     return;
   }
   calm("job");
-  if (news.state === "done") ({ search: searched, calibrate: calibrated, sharpen: sharpened, advise: advised, play: played, shoot: keepShot })[news.kind](news.result);
+  if (news.state === "done") HANDLERS[news.kind](news.result);
   if (news.kind !== "advise") { adviceAsked = ""; followAdvice(); }
 }
 
@@ -607,7 +527,7 @@ async function begin(kind, more = {}) {
     $("job").hidden = true;
     busyPhoto(null);
     busyShot(null);
-    complain(error, ["job"]);
+    complain(error, "job");
     adviceAsked = "";
     setTimeout(followAdvice);
   } finally {
@@ -642,34 +562,34 @@ async function takePhoto(file) {
   $("drop-note").textContent = "reading the photo";
   try {
     const suffix = /\.[a-z0-9]+$/i.exec(file.name)?.[0] ?? ""; // a RAW file is known by its name alone
-    const { photo } = await ask(`/api/upload/photo?suffix=${encodeURIComponent(suffix)}`, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file });
+    const { photo } = await upload(`photo?suffix=${encodeURIComponent(suffix)}`, file);
     change({ photo });
     await begin("calibrate", { photo });
   } catch (error) {
     $("photo-image").hidden = true;
     $("drop").classList.remove("filled");
     busyPhoto(null);
-    complain(error, ["photo"]);
+    complain(error, "photo");
   }
 }
 
 async function openFile(file) {
   calm("file");
   try {
-    const found = await ask("/api/upload/document", { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file });
+    const found = await upload("document", file);
     if (found.state) change({ ...structuredClone(DEFAULTS), ...found.state });
     if (found.bits) change({ bits: found.bits, exposure: found.exposure, device: found.device ?? state.device, search: null });
-    if (found.warning) complain(new Refused("open_file", found.warning), ["file"]);
+    if (found.warning) complain(new Refused("open_file", found.warning), "file");
     if (found.paths) takePaths(found);
-  } catch (error) { complain(error, ["file"]); }
+  } catch (error) { complain(error, "file"); }
 }
 
 async function openGyro(file) {
   calm("gyro");
   const query = new URLSearchParams(["focal", "start", "exposure", "axes"].map((name) => [name, $(`gyro_${name}`).value]));
   try {
-    takePaths(await ask(`/api/upload/gyro?${query}`, { method: "POST", headers: { "Content-Type": "application/octet-stream" }, body: file }));
-  } catch (error) { complain(error, ["gyro"]); }
+    takePaths(await upload(`gyro?${query}`, file));
+  } catch (error) { complain(error, "gyro"); }
 }
 
 function takePaths(found) {
@@ -687,15 +607,10 @@ function download(name, text, kind = "text/plain") {
   setTimeout(() => URL.revokeObjectURL(link.href), 1000);
 }
 
-// -- memory of this tab -----------------------------------------------------------------------------------------------------
-
-function remembered(name) { try { return JSON.parse(sessionStorage.getItem(name)); } catch { return null; } }
-function remember(name, what) { try { sessionStorage.setItem(name, JSON.stringify(what)); } catch { /* it is only a comfort */ } }
-function named(name, makeIt) { const found = remembered(name) ?? makeIt(); remember(name, found); return found; }
-
 // -- hands ------------------------------------------------------------------------------------------------------------------
 
 const number = (id) => ($(id).value.trim() === "" ? null : Number($(id).value));
+const stopper = (by) => () => post("stop", { page }).catch((error) => complain(error, by));
 const on = (id, event, does) => $(id).addEventListener(event, does);
 
 function pinCode(name, bits) {
@@ -705,26 +620,6 @@ function pinCode(name, bits) {
   change({ pins: [...state.pins, { name: free.replaceAll("=", " "), bits }].slice(-10) });
 }
 
-/** Chips that a motion tells apart, a quarter of a pixel each; any number where its length is not known here. */
-function mostChips({ kind, length, x, y }) {
-  const path = kind === "path" ? x.slice(1).reduce((sum, at, i) => sum + Math.hypot(at - x[i], y[i + 1] - y[i]), 0) : Number(length);
-  return Number.isFinite(path) && path > 0 ? Math.max(1, Math.floor(4 * path)) : 512;
-}
-
-function resized(bits, count) {
-  const chips = Math.min(Math.max(Math.round(count) || 2, 2), 512);
-  if (chips === bits.length) return bits;
-  // every new chip shows what the old code had at its time
-  const next = Array.from({ length: chips }, (_, i) => bits[Math.min(Math.floor(((i + 0.5) * bits.length) / chips), bits.length - 1)]).join("");
-  return next.includes("1") ? next : `1${next.slice(1)}`;
-}
-
-function shuffled(bits) {
-  const chips = [...bits];
-  for (let i = chips.length - 1; i > 0; i--) { const j = Math.floor(Math.random() * (i + 1)); [chips[i], chips[j]] = [chips[j], chips[i]]; }
-  return chips.join("");
-}
-
 function wire() {
   document.querySelector(".skip").addEventListener("click", (event) => {
     event.preventDefault(); // the address holds the state
@@ -732,14 +627,7 @@ function wire() {
   });
   on("chips", "change", () => change({ bits: resized(state.bits, number("chips")), open: null, search: null }));
   on("bits", "input", () => { const bits = $("bits").value.replace(/\s/g, ""); change({ bits, search: null }); });
-  const edits = {
-    invert: (bits) => { const other = [...bits].map((bit) => (bit === "1" ? "0" : "1")).join(""); return other.includes("1") ? other : bits; },
-    mirror: (bits) => [...bits].reverse().join(""),
-    left: (bits) => bits.slice(1) + bits[0],
-    right: (bits) => bits.at(-1) + bits.slice(0, -1),
-    random: shuffled,
-  };
-  for (const [id, edit] of Object.entries(edits)) on(id, "click", () => change({ bits: edit(state.bits), search: null }));
+  for (const [id, edit] of Object.entries(EDITS)) on(id, "click", () => change({ bits: edit(state.bits), search: null }));
   on("undo", "click", () => travel(past, future));
   on("redo", "click", () => travel(future, past));
   document.addEventListener("keydown", (event) => {
@@ -786,7 +674,7 @@ function wire() {
     $("divider").setAttribute("aria-valuetext", `${share} percent from the left`);
   });
   on("search", "click", () => { record(); begin("search", { steps: Number($("effort").value), seed: 0 }); });
-  on("stop", "click", () => post("stop", { page }).catch((error) => complain(error, ["job"])));
+  on("stop", "click", stopper("job"));
   on("photo-file", "change", () => { if ($("photo-file").files[0]) takePhoto($("photo-file").files[0]); $("photo-file").value = ""; });
   on("try", "click", async () => {
     calm("photo");
@@ -795,9 +683,9 @@ function wire() {
       estimate = null;
       change({ photo });
       await begin("calibrate", { photo });
-    } catch (error) { complain(error, ["photo"]); }
+    } catch (error) { complain(error, "photo"); }
   });
-  on("drop-stop", "click", () => post("stop", { page }).catch((error) => complain(error, ["photo"])));
+  on("drop-stop", "click", stopper("photo"));
   on("sharpen", "click", () => { if (estimate.sharp?.ready) saveSharpened(); else begin("sharpen", { photo: state.photo, anyway: estimate.kept === true }); });
   on("sharpened-view", "click", () => {
     const seen = $("photo-image").src.endsWith("/sharpened");
@@ -823,8 +711,8 @@ function wire() {
       const { name, text, warnings } = await post("export", { setting: settingOf(state), format: $("format").value });
       calm("format");
       download(name, text);
-      if (warnings.length) complain(new Refused("format", `${name}: ${warnings.join("; ")}`), ["format"]);
-    } catch (error) { complain(error, ["format"]); }
+      if (warnings.length) complain(new Refused("format", `${name}: ${warnings.join("; ")}`), "format");
+    } catch (error) { complain(error, "format"); }
   });
   on("play", "click", () => { calm("port"); begin("play", { port: $("port").value, arm: true }); });
   for (const id of ["port", "shot_port"]) on(id, "focus", async () => {
@@ -833,16 +721,12 @@ function wire() {
     $(id).replaceChildren(new Option("emulated Uno", "emulated"), ...ports.map((one) => new Option(one.name, one.name)));
     $(id).value = [...$(id).options].some((one) => one.value === chosen) ? chosen : "emulated";
   });
-  wireShot({
-    begin: (order) => begin("shoot", order),
-    stop: () => post("stop", { page }).catch((error) => complain(error, ["job"])),
-    remember, remembered,
-  });
+  wireShot({ begin: (order) => begin("shoot", order), stop: stopper("job") });
   on("save", "click", async () => {
     try {
       const document = await post("save", { setting: settingOf(state), state });
       download("studio.json", `${JSON.stringify(document, null, 1)}\n`, "application/json");
-    } catch (error) { complain(error, ["file"]); }
+    } catch (error) { complain(error, "file"); }
   });
   on("copy", "click", async () => {
     writeAddress();
@@ -850,9 +734,19 @@ function wire() {
     $("copy").textContent = "Copied";
     setTimeout(() => { $("copy").textContent = "Copy address"; }, 1200);
   });
-  addEventListener("hashchange", () => { written = location.hash; remember("studio-address", written); state = fromAddress(location.hash); design = state.bits; fill(); follow(); });
+  addEventListener("hashchange", () => {
+    written = location.hash;
+    remember("studio-address", written);
+    state = fromAddress(location.hash);
+    design = state.bits;
+    fill();
+    follow();
+  });
   let resizing = 0;
-  addEventListener("resize", () => { cancelAnimationFrame(resizing); resizing = requestAnimationFrame(() => { if (shown) draw(); if (advice) showAdvice(); }); });
+  addEventListener("resize", () => {
+    cancelAnimationFrame(resizing);
+    resizing = requestAnimationFrame(() => { if (shown) draw(); if (advice) showAdvice(); });
+  });
 }
 
 async function start() {
