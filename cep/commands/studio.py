@@ -59,7 +59,7 @@ def studio(options: StudioOptions) -> None:
         raise ValueError(
             "the studio needs two more packages: pip install 'coded-exposure[studio]'"
         ) from None
-    from cep.studio.server import serve
+    from cep.studio.serving import serve
 
     state = None
     if options.file is not None:

@@ -20,9 +20,9 @@ from cep.files.images import encode_image, read_image
 from cep.files.raw_files import RAW_SUFFIXES
 from cep.search.measured import corrected, shifts_db
 from cep.search.verdict import verdict, verdict_of
-from cep.studio import server
+from cep.studio import serving
 from cep.studio.jobs import BusyError
-from cep.studio.server import bound_socket
+from cep.studio.serving import bound_socket
 from cep.studio.state import read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views
@@ -434,15 +434,15 @@ def test_a_studio_file_of_wrong_types_is_one_line_that_names_the_field(client, s
 
 
 def test_a_connection_that_asks_nothing_is_closed(monkeypatch):
-    monkeypatch.setattr(server, "_MOST_SILENT_S", 0.2)
+    monkeypatch.setattr(serving, "_MOST_SILENT_S", 0.2)
     ready = queue.Queue()
     servers = []
     run = uvicorn.Server.run
     monkeypatch.setattr(
         uvicorn.Server, "run", lambda self, sockets: [servers.append(self), run(self, sockets)]
     )
-    serving = threading.Thread(target=lambda: server.serve(on_ready=ready.put))
-    serving.start()
+    thread = threading.Thread(target=lambda: serving.serve(on_ready=ready.put))
+    thread.start()
     try:
         home = urlsplit(ready.get(timeout=60))
         with socket.create_connection((home.hostname, home.port), timeout=60) as silent:
@@ -450,8 +450,8 @@ def test_a_connection_that_asks_nothing_is_closed(monkeypatch):
             assert silent.recv(100) == b""
     finally:
         servers[0].should_exit = True
-        serving.join(60)
-    assert not serving.is_alive()
+        thread.join(60)
+    assert not thread.is_alive()
 
 
 def test_a_stream_too_many_is_refused(client, monkeypatch):
