@@ -8,7 +8,8 @@ problem
     ``playable``: those of a device), ``objectives`` by name, ``cost`` of codes by them.
 search
     ``baselines``, what would be used instead; ``annealing`` or ``exhaustive``, and ``optima``
-    proven before; ``code_search`` joins them. ``bounds``: what no code can exceed.
+    proven before; ``code_search`` joins them to a ``search_result``. ``bounds``: what no code can
+    exceed.
 verdict
     ``exposures``, judged by the restoration ``expected`` of a model and ``measured`` on
     photographs; ``verdict`` at one level of light, in words ``verdict_text``; ``advise`` over the

@@ -21,6 +21,7 @@ from cep.search.annealing.anneal import anneal
 from cep.search.cost import FINE, CodeCost
 from cep.search.limits import Limits, RunLimits
 from cep.search.problem import SearchProblem
+from cep.search.search_result import Baseline, ComparedCode
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -39,52 +40,6 @@ _PAIRS = 256  # of strobes within limits: widths with numbers of pulses, and per
 _PERIODS_WITHIN = 8
 _SHORTEST_PX = 1.0  # paths that are shorter are designed for like one of a pixel
 _BATCH = 2**21  # numbers evaluated at once: 16 MB
-
-
-@dataclass(frozen=True)
-class ComparedCode:
-    """A code in a comparison.
-
-    Attributes
-    ----------
-    name : str
-        "this code", the one that the others are compared with; "open shutter", "best snapshot",
-        "best strobe", "published: NAME", "length-only code" or "random code, median"; "best
-        snapshot within the limits" and "best strobe within the limits" where the best ones break
-        them.
-    code : ShutterCode
-    within_limits : bool
-        Whether the code keeps the problem's limits: others could not be returned, however good
-        they are.
-    stopped_early : bool
-        Whether the time limit or Ctrl-C ended the search of this code: another run may give
-        another.
-    """
-
-    name: str
-    code: ShutterCode
-    within_limits: bool
-    stopped_early: bool = False
-
-    @property
-    def label(self) -> str:
-        """The name, and whether the code breaks the limits, for tables."""
-        if self.within_limits:
-            return self.name
-        return f"{self.name} (outside the limits)"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Baseline(ComparedCode):
-    """A code that would be used instead of a searched one.
-
-    Attributes
-    ----------
-    cost_db : float
-        By the problem's objective, with its minima over the continuum; lower is better.
-    """
-
-    cost_db: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,13 +20,14 @@ from typing import Any, Literal
 import numpy as np
 
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import AnnealingResult, anneal, standard_moves
-from cep.search.baselines import Baseline, find_baselines
+from cep.search.annealing.anneal import anneal, standard_moves
+from cep.search.baselines import find_baselines
 from cep.search.cost import FINE, CodeCost
 from cep.search.exhaustive.exact import ExactResult, ProofLog, codes_to_count, exact
 from cep.search.limits import nearest
 from cep.search.optima import proven_optimum, proven_starts
 from cep.search.problem import SearchProblem
+from cep.search.search_result import Baseline, SearchResult
 
 STANDARD_TIME_S = 60.0
 """Limit of an annealing that is given neither moves nor a time, seconds."""
@@ -91,26 +92,6 @@ class SearchOptions:
         if self.steps is None and self.time_s is None:
             return standard_moves(problem)
         return self.steps
-
-
-@dataclass(frozen=True)
-class SearchResult(AnnealingResult):
-    """What a search or a proof came to.
-
-    Its ``steps`` are the moves tried or the codes counted, and ``seconds`` are the baselines' as
-    well. ``stopped`` may also be "proven".
-
-    Attributes
-    ----------
-    baselines : tuple of Baseline
-        What the code was compared with: none of them that keeps the limits has a lower cost.
-        Ctrl-C may have cut them short.
-    proof : dict or None
-        Log of the proof; ``file`` names that of a bundled proof.
-    """
-
-    baselines: tuple[Baseline, ...] = ()
-    proof: dict[str, Any] | None = None
 
 
 def searched_problem(problem: SearchProblem) -> SearchProblem:
@@ -193,7 +174,7 @@ def search_code(
     if interrupted:
         # before the annealing: any code within the limits, if no baseline keeps them
         code = ShutterCode.from_array(problem.random_codes(1, rng=rng)[0])
-        result = AnnealingResult(code, judge.exact_cost(code), 0.0, 0, "interrupted")
+        result = SearchResult(code, judge.exact_cost(code), 0.0, 0, "interrupted")
     else:
         left_s = how.limit_s - (time.monotonic() - started)
         result = anneal(
@@ -208,7 +189,7 @@ def search_code(
         )
     code, cost_db = _best_of(result.code, result.objective, rivals)
     seconds = time.monotonic() - started
-    return SearchResult(code, cost_db, seconds, result.steps, result.stopped, tuple(rivals))
+    return replace(result, code=code, objective=cost_db, seconds=seconds, baselines=tuple(rivals))
 
 
 def _proven_outcome(

@@ -12,12 +12,13 @@ import numpy as np
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import AnnealingResult, anneal
+from cep.search.annealing.anneal import anneal
 from cep.search.baselines import best_snapshot, best_strobe, evenly_some
 from cep.search.cost import CodeCost
 from cep.search.expected import WORTH_DB, ExpectedPsnr, collected_e, equal_light_noise, light_noise
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
+from cep.search.search_result import SearchResult
 
 Choice = Literal["open", "snapshot", "strobe", "code"]
 
@@ -225,7 +226,7 @@ class ExposureFinder:
         seed: int,
         threads: int | None,
         time_s: float = math.inf,
-    ) -> AnnealingResult | None:
+    ) -> SearchResult | None:
         """Search the code of least expected error; None where every code would saturate.
 
         A snapshot may have less noise from dark current. It is charged that of a code here, or the

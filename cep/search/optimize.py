@@ -19,7 +19,6 @@ from cep.search.chip_count import ChipCount, choose_chips
 from cep.search.code_search import (
     NO_TIME_S,
     SearchOptions,
-    SearchResult,
     search_code,
     searched_problem,
 )
@@ -29,6 +28,7 @@ from cep.search.exposures import ExposureFinder, check_light
 from cep.search.optimized_code import OptimizedCode, described, stored_code
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
+from cep.search.search_result import SearchResult
 from cep.search.verdict import verdict
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

@@ -16,12 +16,12 @@ from cep.search.bounds import bound
 from cep.search.chip_count import ChipCount
 from cep.search.code_search import (
     SearchOptions,
-    SearchResult,
     described_search,
     ended_early,
     searched_problem,
 )
 from cep.search.problem import SearchProblem
+from cep.search.search_result import SearchResult
 from cep.search.verdict import Verdict
 from motdiff.trajectory import Trajectory
 

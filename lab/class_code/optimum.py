@@ -9,8 +9,9 @@ from typing import Any
 
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
-from cep.search.code_search import SearchOptions, SearchResult, described_search, ended_early
+from cep.search.code_search import SearchOptions, described_search, ended_early
 from cep.search.problem import SearchProblem
+from cep.search.search_result import SearchResult
 
 PUBLISHED_PREFIX = "published: "
 _FEW = 20  # motions below which a class code has mostly learned them by heart
@@ -23,7 +24,7 @@ class ClassRow:
     Attributes
     ----------
     name : str
-        "this code", or of a :class:`cep.search.baselines.Baseline`.
+        "this code", or of a :class:`cep.search.search_result.Baseline`.
     code : ShutterCode
         A published one may have another number of chips, with the exposure as long.
     within_limits : bool

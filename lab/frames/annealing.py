@@ -32,7 +32,6 @@ from cep.search.annealing.anneal import (
     SEARCH_OVERSAMPLING,
     Budget,
     Elites,
-    Stopped,
     hottest_db,
 )
 from cep.search.annealing.cooling import (
@@ -48,6 +47,7 @@ from cep.search.annealing.proposals import LoopLimits
 from cep.search.annealing.terms import BLOCK, Tables, lay_out
 from cep.search.cost import FINE, CodeCost
 from cep.search.problem import SearchProblem
+from cep.search.search_result import Stopped
 from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
@@ -76,7 +76,7 @@ class FramesResult:
     steps : int
         Moves tried.
     stopped : {"steps", "time", "interrupted", "complete"}
-        Reason of its end, as of :class:`cep.search.annealing.anneal.AnnealingResult`.
+        Reason of its end, as of :class:`cep.search.search_result.SearchResult`.
     """
 
     codes: tuple[ShutterCode, ...]

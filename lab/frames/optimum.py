@@ -12,7 +12,6 @@ import numpy as np
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import HOPELESS_DB, CodeMetrics
-from cep.search.annealing.anneal import Stopped
 from cep.search.baselines import mean_length_px
 from cep.search.code_search import (
     NO_TIME_S,
@@ -35,6 +34,7 @@ from cep.search.exposures import (
 from cep.search.optimized_code import certificate_warnings
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
+from cep.search.search_result import Stopped
 from cep.search.verdict import Verdict
 from lab.frames.annealing import FramesResult, anneal_frames, joint_figures
 from lab.frames.expected import joint_psnr_db

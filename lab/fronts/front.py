@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import HOPELESS_DB
-from cep.search.annealing.anneal import Stopped
 from cep.search.cost import CodeCost, continuum_minimum
 from cep.search.problem import SearchProblem
+from cep.search.search_result import Stopped
 from motdiff.types import BoolArray, FloatArray
 
 Codes = NDArray[np.int8]

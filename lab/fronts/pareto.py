@@ -23,11 +23,12 @@ from numpy.typing import NDArray
 
 from cep.codes.published import for_chips
 from cep.optics.code import ShutterCode
-from cep.search.annealing.anneal import COOLING, REHEATED, Stopped, hottest_db, run_chains
+from cep.search.annealing.anneal import COOLING, REHEATED, hottest_db, run_chains
 from cep.search.annealing.cooling import anneal_chain
 from cep.search.annealing.terms import Tables, lay_out
 from cep.search.cost import CodeCost
 from cep.search.problem import SearchProblem
+from cep.search.search_result import Stopped
 from lab.fronts.front import EQUAL_DB, Archive, Front, FrontPoint, Judge, non_dominated
 
 Codes = NDArray[np.int8]

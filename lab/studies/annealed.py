@@ -15,15 +15,16 @@ import numpy as np
 
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
-from cep.search.annealing.anneal import AnnealingResult, anneal
+from cep.search.annealing.anneal import anneal
 from cep.search.optima import proven_optimum
 from cep.search.problem import SearchProblem
+from cep.search.search_result import SearchResult
 from lab.studies.inputs import study_parser
 
 CHIPS = (40, 41, 42, 43, 44, 45, 46, 47, 48, 52)
 
 
-def annealed(problem: SearchProblem, seconds: float, seed: int) -> AnnealingResult:
+def annealed(problem: SearchProblem, seconds: float, seed: int) -> SearchResult:
     """Anneal for ``seconds`` of the processor: the wall clock counts what other processes do."""
     started = time.process_time()
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from threading import Event
-from typing import Literal, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from cep.search.annealing.sweeps import sweep_tables, sweeps, swept
 from cep.search.annealing.terms import lay_out
 from cep.search.cost import FINE, CodeCost, sample_count
 from cep.search.problem import SearchProblem
+from cep.search.search_result import SearchResult, Stopped
 from motdiff.types import FloatArray
 
 Codes = NDArray[np.int8]
@@ -40,9 +41,6 @@ _STANDARD_WORK = 2**33  # moves times frequencies after which more rarely find a
 _SWEPT_MOVES = 2**29
 _LEAST_OF_MEAN = 2**16
 MOVES_SHARE = 0.9  # of the progress reported: the polish has the remainder
-Stopped = Literal["steps", "time", "interrupted", "complete", "proven"]
-"""What ended a search: all its moves made, the time limit, Ctrl-C, that no other code keeps the
-limits, or a proof."""
 _Piece = TypeVar("_Piece")
 # of a round: enough for most machines' cores, and the outcome must not depend on their number
 CHAINS = 8
@@ -53,31 +51,6 @@ _LONGEST_SWEPT = 2**26  # the same in sweeps
 _POLISH_SHARE = 0.1
 _POLISH_S = 0.5
 _TICK_S = 0.1  # between two looks of the caller at running chains
-
-
-@dataclass(frozen=True)
-class AnnealingResult:
-    """Result of a search.
-
-    Attributes
-    ----------
-    code : ShutterCode
-    objective : float
-        Cost in dB, lower is better, with minima over the continuum; see
-        :mod:`cep.search.cost`.
-    seconds : float
-    steps : int
-        Moves tried.
-    stopped : {"steps", "time", "interrupted", "complete"}
-        Its end: all moves made; the time limit, which makes the outcome depend on the machine;
-        Ctrl-C; or that no other code keeps the limits.
-    """
-
-    code: ShutterCode
-    objective: float
-    seconds: float
-    steps: int
-    stopped: Stopped
 
 
 @dataclass
@@ -120,7 +93,7 @@ def anneal(
     judge: CodeCost | None = None,
     coarse: CodeCost | None = None,
     swaps: bool = True,
-) -> AnnealingResult:
+) -> SearchResult:
     """Search a code; anytime: a limit or Ctrl-C returns the best so far.
 
     Parameters
@@ -212,7 +185,7 @@ def anneal(
         polished, polish(fine, elites.ranked(), swaps=swaps), report, stopped=stopped
     )
     seconds = time.monotonic() - started
-    return AnnealingResult(polished.code, polished.cost, seconds, budget.moves, stopped)
+    return SearchResult(polished.code, polished.cost, seconds, budget.moves, stopped)
 
 
 def standard_moves(problem: SearchProblem) -> int:

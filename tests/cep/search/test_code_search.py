@@ -18,6 +18,7 @@ from cep.search.code_search import SearchOptions, search_code
 from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
 from cep.search.problem import OBJECTIVES, Scenario, SearchProblem
+from cep.search.search_result import SearchResult
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -103,9 +104,7 @@ def test_what_the_baselines_take_is_off_the_time_but_for_half_of_it(monkeypatch)
 
     def searched(problem, *, time_s, **_options):
         limits.append(time_s)
-        return SimpleNamespace(
-            code=ShutterCode("110100011"), objective=0.0, steps=1, stopped="time"
-        )
+        return SearchResult(ShutterCode("110100011"), 0.0, 0.1, 1, "time")
 
     monkeypatch.setattr(baselines_module, "anneal", slow)
     monkeypatch.setattr(search_module, "anneal", searched)
@@ -136,7 +135,7 @@ def test_ctrl_c_among_the_baselines_returns_the_best_so_far(monkeypatch, at):
 
 def test_a_search_that_ends_worse_than_a_baseline_returns_it(monkeypatch):
     problem = SearchProblem.along(BENT, chips=9, open_range=(3, 6), objective="mse")
-    poor = SimpleNamespace(code=ShutterCode("101010000"), objective=99.0, steps=1, stopped="steps")
+    poor = SearchResult(ShutterCode("101010000"), 99.0, 0.1, 1, "steps")
     monkeypatch.setattr(search_module, "anneal", lambda _problem, **_options: poor)
     found = search_code(problem, SearchOptions())
     kept = {row.code: row.cost_db for row in found.baselines if row.within_limits}
