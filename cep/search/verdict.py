@@ -11,7 +11,6 @@ from typing import Any, Literal
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.scene import PHOTO, Scene
-from cep.search import verdict_text
 from cep.search.expected import WORTH_DB
 from cep.search.exposures import (
     CODED,
@@ -28,6 +27,7 @@ from cep.search.exposures import (
 )
 from cep.search.measured import corrected, is_measured, measured_exposures, shifts_db
 from cep.search.problem import SearchProblem
+from cep.search.verdict_text import conditions, recommendation
 from motdiff.types import FloatArray
 
 Figure = Literal["psnr_db", "equal_light_db"]
@@ -159,17 +159,7 @@ class Verdict:
     @property
     def sentence(self) -> str:
         """What to do and what it gains, then under which conditions."""
-        return f"{self.recommendation}. {self.conditions}"
-
-    @property
-    def recommendation(self) -> str:
-        """What to do and what it gains."""
-        return verdict_text.recommendation(self)
-
-    @property
-    def conditions(self) -> str:
-        """What the gains are, at which light and noise, and what the limits cost."""
-        return verdict_text.conditions(self)
+        return f"{recommendation(self)}. {conditions(self)}"
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON."""
@@ -266,7 +256,7 @@ def verdict(
 def expectation(problem: SearchProblem, modelled: Verdict) -> str:
     """Say what to expect of a measurement: a model's verdict, shifted by table."""
     shifts = shifts_db(problem.scenarios[0].trajectory, modelled.camera)
-    text = modelled.shifted(shifts).recommendation
+    text = recommendation(modelled.shifted(shifts))
     return f"expected, before it is measured: {text[:1].lower()}{text[1:]}"
 
 

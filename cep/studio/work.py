@@ -230,6 +230,7 @@ def _search(order: Order, tell: Tell) -> Mapping[str, Any]:
 def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
     import cep
     from cep.search.advise import shifted
+    from cep.search.verdict_text import conditions, recommendation
 
     setting = read_setting(order["setting"])
     advice = cep.advise(
@@ -242,8 +243,8 @@ def _advise(order: Order, tell: Tell) -> Mapping[str, Any]:
     )
     advice = shifted(advice)
     return advice.to_dict() | {
-        "recommendation": advice.here.recommendation,
-        "conditions": advice.here.conditions,
+        "recommendation": recommendation(advice.here),
+        "conditions": conditions(advice.here),
         "where": advice.where,
     }
 

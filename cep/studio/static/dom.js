@@ -23,14 +23,3 @@ export function sentence(text) {
 export function holding(tag, text, className = "") {
   return Object.assign(document.createElement(tag), { textContent: text, className });
 }
-
-/** A button that looks like a link. */
-export function act(text, label, does) {
-  const made = document.createElement("button");
-  made.type = "button";
-  made.className = "link";
-  made.textContent = text;
-  made.setAttribute("aria-label", label);
-  made.addEventListener("click", does);
-  return made;
-}

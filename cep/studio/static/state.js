@@ -103,10 +103,13 @@ function bytesOf(text) {
 }
 
 /** A path as it comes back out of the address: what is measured is what the address says. */
-export function settled(path) {
+export function pathOf(path) {
   const { scale, bytes } = packed(path);
   return unpacked(path.direction, scale, bytes);
 }
+
+/** Whether a motion is along a path of an estimate. */
+export const isAlong = (motion, path) => motion.kind === "path" && JSON.stringify(motion.x) === JSON.stringify(pathOf(path).x);
 
 function packed({ t, x, y }) {
   const reach = Math.max(...x.map(Math.abs), ...y.map(Math.abs), 1e-6);

@@ -1,11 +1,12 @@
 // The page: what the hand changes becomes the state, the state becomes the address, and everything follows it.
 
-import { $, holding, put, say, sentence } from "./dom.js";
+import { $, put, say, sentence } from "./dom.js";
 import { EDITS, mostChips, resized } from "./edits.js";
-import { drawCurves, drawGains, drawMap, drawOnPhoto, drawPath, drawPlayed } from "./plots.js";
+import { busyPhoto, drawEstimate, drawSharpened, hidePhoto, saveSharpened, showPhoto } from "./photo.js";
+import { drawCurves, drawGains, drawMap, drawPath, drawPlayed } from "./plots.js";
 import { Refused, ask, calm, complain, post, upload } from "./server.js";
 import { busyShot, showShot, wireShot } from "./shot.js";
-import { DEFAULTS, SIDES, fromAddress, isCode, remember, remembered, settingOf, settled, toAddress } from "./state.js";
+import { DEFAULTS, SIDES, fromAddress, isAlong, isCode, pathOf, remember, remembered, settingOf, toAddress } from "./state.js";
 import { Strip } from "./strip.js";
 import { digits, drawRows, noise } from "./table.js";
 
@@ -132,25 +133,17 @@ function drawVerdict() {
     say("sentence", `${advice.recommendation}.`);
     say("where", `${advice.where} ${advice.conditions}`);
   } else {
-    const waits = job?.state === "running" ? WAITS[job.kind] : null;
+    const waits = job?.state === "running" ? JOBS[job.kind].waits : null;
     const searching = waits ?? "Searching the best exposure for this motion and light…";
     say("sentence", refused === key ? "No verdict: one of the inputs below needs a look." : searching);
     say("where", job?.state === "running" && job.kind === "advise" ? `${Math.round(100 * job.share)} %` : "");
   }
   say("own", verdictNow() ? ownLine(valid) : "");
   $("own").classList.toggle("stale", document.body.dataset.verdict !== document.body.dataset.asked);
-  const doubts = estimate && state.motion.kind === "path" && estimate.paths.some((path) => same(state.motion, path)) ? estimate.doubts ?? [] : [];
+  const doubts = estimate?.paths.some((path) => isAlong(state.motion, path)) ? estimate.doubts ?? [] : [];
   $("doubt").hidden = !doubts.length;
   say("doubt", doubts.map(sentence).join(" "));
 }
-
-const WAITS = {
-  calibrate: "The verdict follows when the motion of the photo is found.",
-  search: "The verdict follows when the search is done.",
-  play: "The verdict follows when the code is played.",
-  sharpen: "The verdict follows when the photo is sharpened.",
-  shoot: "The verdict follows when the photo is taken.",
-};
 
 function ownLine(valid) {
   const single = (valid && advice.ways.snapshot) || judged.ways.find((way) => way.kind === "snapshot" && way.within_limits && !way.saturates);
@@ -291,7 +284,7 @@ function fill() {
   say("photo-line", state.view === "restored"
     ? "Restored by a Wiener filter along the path as it is drawn: any error of it comes on top."
     : "With the camera's noise. Coded photos are brightened to the light of the open shutter.");
-  drawEstimate();
+  drawEstimate(estimate, state, (path) => change({ motion: pathOf(path) }));
 }
 
 function draw() {
@@ -364,39 +357,6 @@ function drawPins() {
   });
 }
 
-let drawnEstimate = []; // estimate, motion and photo as they are drawn
-function drawEstimate() {
-  $("drop").classList.toggle("filled", !$("photo-image").hidden);
-  const now = [estimate, state.motion, state.photo];
-  drawSharpened();
-  if (now.every((one, i) => one === drawnEstimate[i])) return;
-  drawnEstimate = now;
-  $("estimate").hidden = !estimate;
-  const hasPhoto = Boolean(state.photo) && Boolean(estimate?.width);
-  $("photo-path").toggleAttribute("hidden", !(hasPhoto && state.motion.kind === "path"));
-  if (!estimate) return;
-  $("confidence").value = estimate.confidence ?? 1;
-  $("confidence-text").textContent = estimate.confidence === undefined ? "of a file" : `${Math.round(100 * estimate.confidence)} %`;
-  $("confidence").hidden = estimate.confidence === undefined;
-  $("estimate-warnings").replaceChildren(...(estimate.warnings ?? []).map((text) => holding("li", text)));
-  $("alternatives").replaceChildren(...estimate.paths.map((path, i) => {
-    const chosen = state.motion.kind === "path" && same(state.motion, path);
-    const made = document.createElement("button");
-    made.type = "button";
-    made.setAttribute("role", "radio");
-    made.setAttribute("aria-checked", chosen);
-    made.setAttribute("aria-label", `Path ${i + 1}: ${path.length_px.toFixed(1)} px, weight ${Math.round(100 * path.weight)} percent`);
-    const svg = document.createElementNS("http://www.w3.org/2000/svg", "svg");
-    made.append(svg, holding("span", `${Math.round(100 * path.weight)} %`));
-    drawPath(svg, path, "", { dots: false });
-    made.addEventListener("click", () => change({ motion: pathOf(path) }));
-    return made;
-  }));
-  if (hasPhoto && state.motion.kind === "path") drawOnPhoto($("photo-path"), state.motion, estimate.width, estimate.height);
-}
-
-const pathOf = ({ direction, t, x, y }) => settled({ kind: "path", direction, t, x, y });
-const same = (one, other) => JSON.stringify(one.x) === JSON.stringify(pathOf(other).x);
 const signed = (x) => `${x >= 0 ? "+" : "−"}${Math.abs(x).toFixed(2)}`;
 const half = (text) => { const [number, unit] = text.split(" "); return `${(Number(number) / 2).toPrecision(3)} ${unit}`; };
 
@@ -407,8 +367,15 @@ function listen() {
   source.onmessage = (event) => heard(JSON.parse(event.data));
 }
 
-const WORK = { search: "Searching", calibrate: "Estimating the motion", sharpen: "Sharpening", play: "Uploading", shoot: "Taking the photo" };
-const HANDLERS = { search: searched, calibrate: calibrated, sharpen: sharpened, advise: advised, play: played, shoot: keepShot };
+// what the page says of each kind, where the verdict stands meanwhile, and what follows
+const JOBS = {
+  calibrate: { note: "Estimating the motion", waits: "The verdict follows when the motion of the photo is found.", done: calibrated },
+  search: { note: "Searching", waits: "The verdict follows when the search is done.", done: searched },
+  play: { note: "Uploading", waits: "The verdict follows when the code is played.", done: played },
+  sharpen: { note: "Sharpening", waits: "The verdict follows when the photo is sharpened.", done: sharpened },
+  shoot: { note: "Taking the photo", waits: "The verdict follows when the photo is taken.", done: keepShot },
+  advise: { done: advised },
+};
 let handled = remembered("studio-handled") ?? 0;
 function heard(news) {
   job = news;
@@ -424,7 +391,7 @@ function heard(news) {
   busyShot(ofShot ? news : null);
   if (running && advice?.key !== adviceKey()) drawVerdict(); // it waits for this work
   if (!news) return;
-  const note = mine ? `${WORK[news.kind]}${news.note ? `: ${news.note}` : ""}` : "";
+  const note = mine ? `${JOBS[news.kind].note}${news.note ? `: ${news.note}` : ""}` : "";
   $(ofPhoto ? "drop-share" : "job-share").value = news.share;
   $(ofPhoto ? "drop-note" : "job-note").textContent = note;
   const better = running && news.kind === "search" ? news.best.bits : null;
@@ -440,7 +407,7 @@ function heard(news) {
     return;
   }
   calm("job");
-  if (news.state === "done") HANDLERS[news.kind](news.result);
+  if (news.state === "done") JOBS[news.kind].done(news.result);
   if (news.kind !== "advise") { adviceAsked = ""; followAdvice(); }
 }
 
@@ -455,30 +422,12 @@ function calibrated(found) {
   change({ motion: pathOf(found.paths[0]), path_error: found.path_error ?? null });
 }
 
-/** Offer the whole photo, sharpened: what the estimate would do with it, and what was done. */
-function drawSharpened() {
-  $("sharpened").hidden = !(state.photo && estimate?.summary);
-  if ($("sharpened").hidden) return;
-  const { kept, summary, ready } = estimate.sharp ?? { kept: estimate.kept, summary: estimate.summary };
-  say("sharpened-line", sentence(summary));
-  say("sharpen", ready ? "Save it again" : kept ? "Sharpen and save it anyway" : "Save the sharpened photo");
-  $("sharpened-view").hidden = !ready;
-  say("sharpened-view", $("photo-image").src.endsWith("/sharpened") ? "Show the photo as taken" : "Show it sharpened");
-}
-
 function sharpened(found) {
   estimate = { ...estimate, sharp: { ...found, ready: true } };
   remember("studio-estimate", estimate);
   showPhoto(`/api/photo/${state.photo}/sharpened`);
-  drawSharpened();
-  saveSharpened();
-}
-
-function saveSharpened() {
-  const link = document.createElement("a");
-  link.href = `/api/photo/${state.photo}/sharpened.png`;
-  link.download = "sharpened.png";
-  link.click();
+  drawSharpened(estimate, state.photo);
+  saveSharpened(state.photo);
 }
 
 function advised(found) {
@@ -537,23 +486,6 @@ async function begin(kind, more = {}) {
 
 // -- photos, files ----------------------------------------------------------------------------------------------------------
 
-/** Show how far the work on the photo is, in its place; null when it is over. */
-function busyPhoto(news) {
-  $("drop-job").hidden = !news;
-  $("drop").classList.toggle("busy", Boolean(news));
-  $("sharpen").disabled = Boolean(news);
-  if (news) $("drop-share").value = news.share;
-}
-
-function showPhoto(address) {
-  const image = $("photo-image");
-  if (image.src.endsWith(address)) return;
-  image.onerror = () => { image.hidden = true; $("drop").classList.remove("filled"); };
-  image.src = address;
-  image.hidden = false;
-  $("drop").classList.add("filled");
-}
-
 async function takePhoto(file) {
   calm("photo");
   estimate = null;
@@ -566,8 +498,7 @@ async function takePhoto(file) {
     change({ photo });
     await begin("calibrate", { photo });
   } catch (error) {
-    $("photo-image").hidden = true;
-    $("drop").classList.remove("filled");
+    hidePhoto();
     busyPhoto(null);
     complain(error, "photo");
   }
@@ -595,7 +526,7 @@ async function openGyro(file) {
 function takePaths(found) {
   estimate = { paths: found.paths, path_error: found.path_error, warnings: found.warnings ?? [] };
   remember("studio-estimate", estimate);
-  $("photo-image").hidden = true;
+  hidePhoto();
   change({ motion: pathOf(found.paths[0]), path_error: found.path_error ?? null, photo: "" });
 }
 
@@ -686,11 +617,11 @@ function wire() {
     } catch (error) { complain(error, "photo"); }
   });
   on("drop-stop", "click", stopper("photo"));
-  on("sharpen", "click", () => { if (estimate.sharp?.ready) saveSharpened(); else begin("sharpen", { photo: state.photo, anyway: estimate.kept === true }); });
+  on("sharpen", "click", () => { if (estimate.sharp?.ready) saveSharpened(state.photo); else begin("sharpen", { photo: state.photo, anyway: estimate.kept === true }); });
   on("sharpened-view", "click", () => {
     const seen = $("photo-image").src.endsWith("/sharpened");
     showPhoto(`/api/photo/${state.photo}${seen ? "" : "/sharpened"}`);
-    drawSharpened();
+    drawSharpened(estimate, state.photo);
   });
   on("gyro-file", "change", () => { if ($("gyro-file").files[0]) openGyro($("gyro-file").files[0]); });
   on("open_file", "change", () => { if ($("open_file").files[0]) openFile($("open_file").files[0]); $("open_file").value = ""; });

@@ -1,6 +1,6 @@
 // The table of codes: this one, the pinned ones, and the exposures that it is compared with.
 
-import { act, holding } from "./dom.js";
+import { holding } from "./dom.js";
 import { miniature } from "./strip.js";
 
 const drawn = new WeakMap(); // rows as they are drawn
@@ -38,3 +38,12 @@ export function drawRows(body, rows, acts) {
 }
 
 const known = (figure) => figure !== undefined && figure !== null;
+
+/** A button that looks like a link. */
+function act(text, label, does) {
+  const button = holding("button", text, "link");
+  button.type = "button";
+  button.setAttribute("aria-label", label);
+  button.addEventListener("click", does);
+  return button;
+}
