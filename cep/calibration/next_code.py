@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from math import ceil, log2
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.calibration.order_codes import allowed_limits, neighbours, start_codes
+from cep.calibration.order_codes import (
+    allowed_limits,
+    longest_rest,
+    neighbours,
+    start_codes,
+)
 from cep.calibration.order_contrast import OrderContrast, SceneLight
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
@@ -38,6 +44,8 @@ _HARD_PAIRS = 32  # pairs of orders that the search looks at; the best codes are
 _BEAMS = 2  # codes whose neighbours are tried
 _MOST_ROUNDS = 10
 _FINALISTS = 8
+
+_Rating = tuple[int, float]  # chips too many at rest, negative; least chi-square
 
 
 @dataclass(frozen=True)
@@ -146,7 +154,7 @@ def next_code(
     surviving = survivors(contrast, len(estimate.trajectories))
     if len(surviving) < len(paths):
         contrast = OrderContrast(paths[surviving], photo_codes, chips=chips, scene=scene)
-    code, chi_square = search_next(contrast, limits, rng=rng, progress=progress)
+    code, chi_square = search_next(contrast, photo_codes, limits, rng=rng, progress=progress)
     return NextCode(
         ShutterCode(code, chip_ns),
         orders=contrast.count,
@@ -204,6 +212,7 @@ def survivors(contrast: OrderContrast, count: int) -> NDArray[np.intp]:
 
 def search_next(
     contrast: OrderContrast,
+    photo_codes: Sequence[NDArray[Any]],
     limits: Limits,
     *,
     rng: np.random.Generator,
@@ -212,24 +221,40 @@ def search_next(
     """Search the code within limits whose photo tells the hardest two orders apart best.
 
     The best of known and random codes are changed chip by chip while that helps, judged by the
-    pairs of orders that are hard; the best of these are judged by all pairs.
+    pairs of orders that are hard; the best of these are judged by all pairs. No longer than in a
+    random code, ``log2(n)`` of ``n`` chips, do all shutters rest as they are, if it can be
+    avoided: in that time photos show the path, but not which way it ran, and the right path may be
+    none of these orders.
+
+    Parameters
+    ----------
+    photo_codes : sequence of (n,) array_like of 0 and 1
+        Of the photos taken.
 
     Returns
     -------
     (n,) int8 of 0 and 1, and its least chi-square
     """
+
+    def rated(codes: Sequence[Code], pairs: NDArray[np.intp] | None = None) -> list[_Rating]:
+        chi_squares = contrast.of(codes, pairs).min(axis=1).tolist()
+        longest = [longest_rest([*photo_codes, code]) for code in codes]
+        allowed = ceil(log2(limits.chips))
+        return [
+            (-max(0, rest - allowed), chi_square)
+            for rest, chi_square in zip(longest, chi_squares, strict=True)
+        ]
+
     starts = [*start_codes(limits), *draw(limits, _DRAWN, rng=rng)]
     first = contrast.of(starts[: _DRAWN // 4])
     # what is hard for one of several codes: a pair easy for all of them stays easy
     hard = np.argsort(first.min(axis=0))[:_HARD_PAIRS]
-    scores = {
-        code.tobytes(): float(chi_square)
-        for code, chi_square in zip(starts, contrast.of(starts, hard).min(axis=1), strict=True)
-    }
+    keys = [code.tobytes() for code in starts]
+    ratings = dict(zip(keys, rated(starts, hard), strict=True))
     expanded: set[bytes] = set()
     for turn in range(_MOST_ROUNDS):
         progress((turn + 1) / (_MOST_ROUNDS + 1))
-        beams = sorted(scores, key=scores.__getitem__, reverse=True)[:_BEAMS]
+        beams = sorted(ratings, key=ratings.__getitem__, reverse=True)[:_BEAMS]
         fresh = [key for key in beams if key not in expanded]
         if not fresh:
             break
@@ -239,12 +264,11 @@ def search_next(
             for key in fresh
             for neighbour in neighbours(limits, np.frombuffer(key, dtype=np.int8), single=True)
         }
-        new = {key: code for key, code in new.items() if key not in scores}
+        new = {key: code for key, code in new.items() if key not in ratings}
         if new:
-            smallest = contrast.of(list(new.values()), hard).min(axis=1)
-            scores.update(zip(new, map(float, smallest), strict=True))
-    finalists = sorted(scores, key=scores.__getitem__, reverse=True)[:_FINALISTS]
-    codes = np.stack([np.frombuffer(key, dtype=np.int8) for key in finalists])
-    smallest = contrast.of(codes).min(axis=1)
-    best = int(smallest.argmax())
-    return codes[best].copy(), float(smallest[best])
+            ratings.update(zip(new, rated(list(new.values()), hard), strict=True))
+    finalists = sorted(ratings, key=ratings.__getitem__, reverse=True)[:_FINALISTS]
+    codes = [np.frombuffer(key, dtype=np.int8) for key in finalists]
+    final_ratings = rated(codes)
+    best = max(range(len(codes)), key=final_ratings.__getitem__)
+    return codes[best].copy(), final_ratings[best][1]

@@ -201,6 +201,18 @@ def longest_unseen(codes: ArrayLike) -> int:
     return max((length for is_open, length in union.runs if not is_open), default=0)
 
 
+def longest_rest(codes: ArrayLike) -> int:
+    """Most chips in a row over which no one of codes (I, n) switches.
+
+    Examples
+    --------
+    >>> longest_rest([[1, 1, 1, 0, 0], [1, 1, 1, 1, 0]])
+    3
+    """
+    switches = np.flatnonzero(np.diff(codes, axis=1).any(axis=0)) + 1
+    return int(np.diff([0, *switches, np.shape(codes)[1]]).max())
+
+
 def start_codes(limits: Limits) -> list[Code]:
     """Known codes and their complements, brought within the limits."""
     chips = limits.chips

@@ -21,7 +21,6 @@ UNEXPLAINED = 1.25
 """Misfit above which a path does not explain the photos."""
 SAME_PX = 1.0
 """Rms distance within which two paths count as one."""
-_APART_PX = 0.3  # candidates nearer to a better one are dropped
 _MOST_PATHS = 3  # the best, and alternatives
 _MISFIT_POWER = 4.0  # so steep that a misfit of 1.5 leaves a fifth
 
@@ -79,11 +78,13 @@ def distance_px(unknowns: Unknowns, x: Tensor, y: Tensor) -> float:
     return float((difference - difference.mean(0)).square().sum(1).mean().sqrt())
 
 
-def distinct(unknowns: Unknowns, x: Tensor, costs: Tensor, *, keep: int) -> tuple[Tensor, Tensor]:
-    """Best candidates of (B, N) and their costs, none nearer than 0.3 px to a better one."""
+def distinct(
+    unknowns: Unknowns, x: Tensor, costs: Tensor, *, keep: int, apart_px: float = SAME_PX
+) -> tuple[Tensor, Tensor]:
+    """Best candidates of (B, N) and their costs, none within ``apart_px`` of a better one."""
     index = list[int]()
     for i in torch.argsort(costs).tolist():
-        if all(distance_px(unknowns, x[i], x[j]) > _APART_PX for j in index):
+        if all(distance_px(unknowns, x[i], x[j]) > apart_px for j in index):
             index.append(i)
         if len(index) == keep:
             break
@@ -104,12 +105,15 @@ class Evolution:
         Share of the least cost: a smaller fall is no improvement.
     population : int
         Candidates kept after each round.
+    apart_px : float
+        A candidate nearer to a better one is left out.
     """
 
     rounds: int
     patience: int
     improved: float
     population: int
+    apart_px: float = SAME_PX
 
     def run(
         self,
@@ -138,6 +142,7 @@ class Evolution:
                 torch.cat([x, new]),
                 torch.cat([costs, new_costs]),
                 keep=self.population,
+                apart_px=self.apart_px,
             )
             idle_rounds = 0 if float(costs[0]) < self.improved * least_cost else idle_rounds + 1
             spend(1 / self.rounds)
@@ -158,7 +163,7 @@ def merged(
     best
     """
     candidates, costs = (torch.cat(tensors) for tensors in zip(*results, strict=True))
-    x, costs = distinct(unknowns, candidates, costs, keep=keep)
+    x, costs = distinct(unknowns, candidates, costs, keep=keep, apart_px=same_px)
     return x, costs, sum(distance_px(unknowns, x[0], best[0]) < same_px for best, _ in results)
 
 

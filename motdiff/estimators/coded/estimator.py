@@ -17,20 +17,20 @@ from motdiff.estimators.coded.candidates import (
 )
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
-from motdiff.estimators.coded.search import CLEAR_GAP, find_paths
+from motdiff.estimators.coded.search import find_paths
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 
-_KERNEL_SHARE = 0.45  # of the time
-_FIT_SHARE = 0.55  # the search of the path
+_KERNEL_SHARE = 0.2  # of the time
+_FIT_SHARE = 0.8  # the search of the path
 # how often the path was right, of simulated walks and shakes
-# (docs/decisions/motion-estimation.md): of one photo; of two and of more, where two searches ended
-# at it and the next path is dearer (of more photos: or much dearer), where they ended at it, else
+# (docs/decisions/motion-estimation.md): of one photo; of more, where two searches ended at it and
+# where one did; each where the next path is much dearer, and where it is not
 _ONE_PHOTO = 0.05
-_SHARES_OF_TWO = (0.95, 0.8, 0.4)
-_SHARES_OF_MORE = (0.95, 0.8, 0.25)
+_SHARES_AGREED = (0.97, 0.5)
+_SHARES_ALONE = (0.8, 0.15)
+_DEARER = 75.0  # of the next path's cost
 _ERROR_RATIO = 2.8  # of true to computed error
-_DEARER = 60.0  # of the next path's cost
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _KERNELS_ALONE = 0.3
 _ALMOST_EQUAL = 1e-3  # of two costs: keeps the alternatives' shares finite
@@ -40,15 +40,15 @@ _LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 class CodedEstimator:
     """Find the motion, with its order and direction in time, of photos taken through known codes.
 
-    The kernels are searched, in photos of one scene together. Paths decoded from them, orders of
-    the traced path and random walks are fitted to the kernels, crossed with each other, and fitted
-    to the photos themselves where these show one scene: one photo blurred by the PSF of another
-    must equal the other blurred by the first's. The photos are searched without the kernels too,
-    until two searches agree; of three and more only where the kernels' path is not clear. The
-    photos alone decide which path is best.
+    The kernels are searched, in photos of one scene together, and paths decoded from them, orders
+    of the traced path and random walks are fitted to the kernels. Photos of one scene are then
+    searched themselves, from these paths, others that share the kernels' light and random motions:
+    one photo blurred by the PSF of another must equal the other blurred by the first's. The best
+    are changed and fitted again, in searches of their own until two of them agree, four at most.
 
-    ``confidence`` is the probability that the order is right: the share of simulated motions of
-    which it was, with as many photos, searches that agree, and a next path so much dearer.
+    ``confidence`` is the probability that the order is right: the path's posterior beside the
+    others that were found, times the share of simulated motions of which the search found the
+    right one.
     ``details`` hold it as ``order_confidence``, the expected error ``path_uncertainty_px`` (rms
     over time), ``deviation_px`` at evenly spaced times and ``searches_agreeing``. ``weights`` are
     relative among the candidate paths.
@@ -147,7 +147,7 @@ def _described(paths: Sequence[CandidatePath], times: int, exposures: Exposures)
             f"the photos {reason}: the path is fitted to their kernels alone, and less exact"
         )
         photos -= 1
-    probability = _order_probability(best, photos, times=times, gap=cost_gap(paths))
+    probability = _order_probability(best.misfit, photos, times=times, gap=cost_gap(paths))
     deviation_px = _ERROR_RATIO * exposures.shrunk * best.deviation_px
     error_px = float(np.sqrt((deviation_px**2).mean()))
     extent_px = exposures.shrunk * float(np.hypot(*np.ptp(best.path, axis=0)))
@@ -174,22 +174,17 @@ def _described(paths: Sequence[CandidatePath], times: int, exposures: Exposures)
     )
 
 
-def _order_probability(
-    best: CandidatePath, photos: int, *, times: int, gap: float | None
-) -> float:
-    """Probability that a path is the true one to within 1 px, by the number of photos.
+def _order_probability(misfit: float, photos: int, *, times: int, gap: float | None) -> float:
+    """Probability that the best path of so many photos is the true one to within 1 px.
 
     It is low where their kernels alone were fitted, and falls with the misfit; else it depends on
     how many searches ended at that path, and on how much dearer the next one is (``gap``; None
     where no search ended elsewhere).
     """
     if photos == 1:
-        share = _ONE_PHOTO
-    elif not np.isfinite(best.misfit):
+        return _ONE_PHOTO * explained_share(misfit)
+    if not np.isfinite(misfit):
         return _KERNELS_ALONE
-    else:
-        gap = np.inf if gap is None else gap
-        shares = _SHARES_OF_TWO if photos == 2 else _SHARES_OF_MORE
-        clear = photos > 2 and gap > CLEAR_GAP
-        share = shares[2 if times < 2 and not clear else int(gap < _DEARER)]
-    return share * explained_share(best.misfit)
+    is_dearer = gap is None or gap > _DEARER
+    share = (_SHARES_AGREED if times > 1 else _SHARES_ALONE)[0 if is_dearer else 1]
+    return share * explained_share(misfit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -26,11 +26,39 @@ from motdiff.types import FloatArray
 
 KNOTS = 53
 """Of a path that is fitted finely."""
-# allowed on the three grids; the last is the error of straight pieces between knots
-_PATH_ERRORS_PX = (1.0, 0.3, 0.04)
-_LOOSE = 0.3  # roughness beside kernels, beside photos: second differences of 0.2 px
-_STIFF = 30.0
+_LOOSE = 0.3  # roughness beside kernels
 _SATURATION = 60.0  # a fifth of what a sure kernel costs that is off by all of itself
+
+
+class Stage(NamedTuple):
+    """How finely a path is fitted to photos.
+
+    Attributes
+    ----------
+    grid : int
+        Of the spectra, coarse to fine.
+    path_error_px : float
+        Error of the path that is allowed for.
+    roughness : float, optional
+        Weight of the path's second differences; None, their scale is unknown.
+    """
+
+    grid: int
+    path_error_px: float
+    roughness: float | None
+
+
+# To 0.08 cycles/px photos tell a path so little that it may drift 1.6 px from the true one. Loose,
+# it comes from far away; stiff, a smooth one stays smooth.
+LOOSE = Stage(0, 1.0, 0.3)
+STIFF = Stage(0, 1.0, 300.0)
+MIDDLE = Stage(1, 0.3, 30.0)
+NEAR = Stage(2, 0.3, 30.0)
+FINEST = Stage(2, 0.04, None)
+"""By which paths are judged; its error is that of straight pieces between knots."""
+
+Schedule = tuple[tuple[Stage, int, int], ...]
+"""Stages of a fit with steps of descent and candidates that are kept."""
 
 
 class PhotoFit:
@@ -43,10 +71,8 @@ class PhotoFit:
 
     Attributes
     ----------
-    scenes : list of SceneTerm
-        On three grids, coarse to fine; empty where only kernels are compared.
-    loose, stiff : Roughness
-        Beside kernels and coarse grids, and beside the photos.
+    loose : Roughness
+        Beside kernels.
     """
 
     def __init__(
@@ -56,36 +82,35 @@ class PhotoFit:
         self.knots = knots
         self.unknowns = Unknowns(knots, len(exposures.codes))
         self.loose = Roughness(self.unknowns, _LOOSE)
-        self.stiff = Roughness(self.unknowns, _STIFF)
         self._otfs = CodedOtfs(exposures.codes, knots)
         self._centroids = torch.tensor(
             np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]),
             dtype=torch.float32,
         )
-        self.scenes = [
-            SceneTerm(self.unknowns, self._otfs, on_grid, path_error_px=error_px)
-            for on_grid, error_px in zip(spectra, _PATH_ERRORS_PX, strict=False)
-        ]
+        self._spectra = spectra
+        self._terms: dict[Stage, tuple[SceneTerm, Term]] = {}
 
-    @cached_property
-    def nearly(self) -> list[Term]:
-        """The photos on the finest grid, for a path that is off by some 0.3 px."""
-        scene = SceneTerm(
-            self.unknowns,
-            self._otfs,
-            self.scenes[-1].spectra,
-            path_error_px=_PATH_ERRORS_PX[1],
-        )
-        return [scene, self.stiff]
+    @property
+    def has_scene(self) -> bool:
+        """Whether the photos are compared, not their kernels alone."""
+        return bool(self._spectra)
 
-    @cached_property
-    def finest(self) -> list[Term]:
-        """By which paths are judged: the photos on the finest grid, and their smoothness."""
-        return [self.scenes[-1], SmoothMotion(self.unknowns)]
-
-    def beside_photos(self, grid: int) -> list[Term]:
-        """Terms of the photos alone on one of the three grids; the coarsest leaves paths loose."""
-        return [self.scenes[grid], self.loose if grid == 0 else self.stiff]
+    def beside_photos(self, stage: Stage) -> tuple[SceneTerm, Term]:
+        """Terms of the photos, and of the path's roughness."""
+        if stage not in self._terms:
+            scene = SceneTerm(
+                self.unknowns,
+                self._otfs,
+                self._spectra[stage.grid],
+                path_error_px=stage.path_error_px,
+            )
+            smooth = (
+                SmoothMotion(self.unknowns)
+                if stage.roughness is None
+                else Roughness(self.unknowns, stage.roughness)
+            )
+            self._terms[stage] = scene, smooth
+        return self._terms[stage]
 
     def kernels(self, sigma_px: float, *, saturated: bool = False) -> KernelTerm:
         """Term of the kernels through a Gaussian; saturated, a wrong kernel costs little."""
@@ -107,17 +132,24 @@ class PhotoFit:
 
     def registered(self, x: Tensor) -> Tensor:
         """Candidates with the photos' shifts by correlation, where these are of one scene."""
-        return self.scenes[0].registered(x) if self.scenes else x
+        return self.beside_photos(MIDDLE)[0].registered(x) if self.has_scene else x
 
     def misfit(self, x: Tensor) -> float:
         """Misfit by a candidate (1, N), as a multiple of the noise; NaN without a scene."""
-        if not self.scenes:
+        if not self.has_scene:
             return float("nan")
-        return float(self.scenes[-1].cost(x)) / self.scenes[-1].values
+        scene = self.beside_photos(FINEST)[0]
+        return float(scene.cost(x)) / scene.values
 
     def paths(self, x: Tensor) -> FloatArray:
         """Paths (B, K, 2) of candidates."""
         return self.unknowns.paths(x).numpy().astype(np.float64)
+
+    def fitted(self, x: Tensor, schedule: Schedule) -> tuple[Tensor, Tensor]:
+        """Candidates fitted to the photos stage by stage, the best of them, and their costs."""
+        for stage, steps, keep in schedule:
+            x, costs = self.best(self.beside_photos(stage), x, steps=steps, keep=keep)
+        return x, costs
 
     def best(
         self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 from motdiff.estimators.coded.otfs import CodedOtfs
 from motdiff.threads import side_by_side
@@ -64,6 +65,11 @@ class Unknowns:
     def paths(self, x: Tensor) -> Tensor:
         """Paths (B, K, 2), px."""
         return x[:, : 2 * self.knots].reshape(len(x), self.knots, 2)
+
+    def resampled(self, x: Tensor, knots: int) -> Tensor:
+        """Vectors of the same paths with so many knots, by straight pieces."""
+        paths = interpolate(self.paths(x).mT, size=knots, mode="linear", align_corners=True).mT
+        return torch.cat([paths.flatten(1), x[:, 2 * self.knots :]], 1)
 
     def shifts(self, x: Tensor) -> Tensor:
         """Shifts of the photos (B, I, 2), px."""

@@ -14,7 +14,7 @@ from motdiff.estimators.base import Estimator
 from motdiff.estimators.coded.candidates import expected_deviation_px
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
-from motdiff.estimators.coded.fit import KNOTS, PhotoFit
+from motdiff.estimators.coded.fit import FINEST, KNOTS, MIDDLE, NEAR, PhotoFit
 from motdiff.estimators.coded.misfit import PathQuadratic, Term, Unknowns, descend
 from motdiff.path_psfs import interpolated
 from motdiff.progress import Progress
@@ -156,8 +156,8 @@ class _RefiningFit(PhotoFit):
         """Paths with the least cost after a few steps of descent."""
         x = self.registered(self.pack(np.stack([_knots(path) for path in paths])))
         terms: list[Term] = [self.kernels(1.5), self.loose]
-        if self.scenes:
-            terms = [self.scenes[0], self.sharpest, self.loose]
+        if self.has_scene:
+            terms = [self.beside_photos(MIDDLE)[0], self.sharpest, self.loose]
         _, costs = descend(terms, x, steps=4)
         return [paths[i] for i in torch.argsort(costs)[:_MOST_ORDERS].tolist()]
 
@@ -167,7 +167,8 @@ class _RefiningFit(PhotoFit):
         """Descend from a path with half, once and twice its deviation."""
         start = _knots(path)
         prior = _path_prior(self.unknowns, start, deviation_px)
-        terms: list[Term] = [self.sharpest, prior, *self.scenes[-1:]]
+        scene = self.beside_photos(FINEST)[0] if self.has_scene else None
+        terms: list[Term] = [self.sharpest, prior, *([scene] if scene else [])]
         x0 = self.registered(self.pack(start[None]))
         given_misfit = self._misfit_of_given(x0)
         for deviation_factor in _DEVIATION_FACTORS:
@@ -181,15 +182,15 @@ class _RefiningFit(PhotoFit):
                 cost=sum(float(term.cost(x)) for term in terms),
                 given_misfit=given_misfit,
                 misfit=self.misfit(x),
-                values=self.scenes[-1].values if self.scenes else 0,
+                values=scene.values if scene else 0,
                 deviation_px=_ERROR_RATIO * factor * float(np.sqrt((knots_px**2).mean())),
             )
 
     def _descended(self, x: Tensor, prior: Term) -> Tensor:
-        if not self.scenes:
+        if not self.has_scene:
             return descend([self.sharpest, prior], x, steps=20)[0]
-        for term, steps in zip(self.scenes, (6, 6, 12), strict=True):
-            x, _ = descend([term, self.sharpest, prior], x, steps=steps)
+        for stage, steps in ((MIDDLE, 6), (NEAR, 6), (FINEST, 12)):
+            x, _ = descend([self.beside_photos(stage)[0], self.sharpest, prior], x, steps=steps)
         return x
 
     def _misfit_of_given(self, x: Tensor) -> float:
@@ -197,8 +198,8 @@ class _RefiningFit(PhotoFit):
         fixed = _path_prior(
             self.unknowns, self.unknowns.paths(x)[0].numpy(), _FIXED_PX, rough_px=_FIXED_PX
         )
-        for term in self.scenes:
-            x, _ = descend([term, fixed], x, steps=4)
+        for stage in (MIDDLE, NEAR, FINEST) if self.has_scene else ():
+            x, _ = descend([self.beside_photos(stage)[0], fixed], x, steps=4)
         return self.misfit(x)
 
 

@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import cycle
 
 import numpy as np
+import torch
 from torch import Tensor
 
 from motdiff.estimators.coded.candidates import (
     SAME_PX,
     CandidatePath,
     Evolution,
-    cost_gap,
     expected_deviation_px,
     merged,
 )
 from motdiff.estimators.coded.exposures import Exposures
-from motdiff.estimators.coded.fit import KNOTS, PhotoFit
+from motdiff.estimators.coded.fit import (
+    FINEST,
+    KNOTS,
+    LOOSE,
+    MIDDLE,
+    NEAR,
+    STIFF,
+    PhotoFit,
+    Schedule,
+)
 from motdiff.estimators.coded.misfit import Term, descend
 from motdiff.estimators.coded.path_measure import PathMeasure
 from motdiff.estimators.coded.scene_term import SceneSpectra
@@ -24,43 +35,50 @@ from motdiff.estimators.coded.starts import (
     bridged,
     crossed,
     decoded_paths,
-    loop_reversals,
+    loops_reordered,
     orders,
-    with_knots,
 )
 from motdiff.metrics import rms_distance_px
 from motdiff.motions import boracchi_foi
 from motdiff.progress import Progress
+from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
-CLEAR_GAP = 1000.0
-"""Cost of the next path less the best's from which no other search is needed.
-
-Wrong ends of searches beside kernels had 730 before the next path, at most.
-"""
 _DECODED = 64  # starting paths of each kind
 _ORDERS = 48
 _WALKS = 48
-_EVOLUTION = Evolution(rounds=6, patience=2, improved=0.98, population=8)
+_KERNEL_EVOLUTION = Evolution(rounds=6, patience=2, improved=0.98, population=8)
 _CHILDREN_FITTED = 10
+_REORDERED_BESIDE_KERNELS = 4
 _PARENTS = 4  # of the population, crossed with all
 
-# the search beside the photos alone
-_FEW_PHOTOS = 2  # their kernels mislead too often to be searched by themselves
-_EXPLAINED = 1.0  # misfit; right paths have 0.6 to 0.97 on simulated walks
+# the search of photos of one scene
+_EXPLAINED = 1.1  # misfit; right paths have 0.6 to 1.0 on simulated walks
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
-_DRAWS = 64  # starts of a search, some from the kernels' light and some without it
-_LONE_WALKS = 64
+_DRAWS = 64  # starts of a search from the kernels' light
+_LONE_WALKS = 32  # and without it
+_LONE_SWEEPS = 64
+_SWEEP_SHARES = (1.0, 0.6, 0.4)  # of Legendre polynomials of degree 1, 2 and 3
 _USUAL_PX = 50.0  # length of the walks where no kernel tells it
-_MOST_SEARCHES = 3
+_SEARCHES_AT_ONCE = 2
+_MOST_SEARCHES = 4
+_LOOSE_STARTS: Schedule = ((LOOSE, 4, 24),)
+_STIFF_STARTS: Schedule = ((STIFF, 8, 12),)
+_STARTS: Schedule = ((MIDDLE, 2, 32), (MIDDLE, 3, 16), (NEAR, 2, 12), (FINEST, 4, 8))
 # more rounds and patience, as each round changes less
-_WIDE_EVOLUTION = Evolution(rounds=20, patience=5, improved=0.998, population=8)
+_SCENE_EVOLUTION = Evolution(rounds=20, patience=5, improved=0.998, population=8)
 _CHILDREN = 32  # of a round
-_WIDE_RESULTS = 6  # handed to the finest grid
+# in turn: a child far from a minimum comes to one loosely, one nearby is led away by that
+_CHILD_SCHEDULES: tuple[Schedule, ...] = (
+    ((LOOSE, 2, 20), (MIDDLE, 3, 8), (FINEST, 4, 8)),
+    ((NEAR, 1, 16), (NEAR, 2, 8), (FINEST, 4, 8)),
+)
+_RESULTS = 6  # handed on with all knots
+_LAST: Schedule = ((FINEST, 4, 4), (FINEST, 21, 4))
 # shares of the children; the others are bridged
 _REROUTED = 0.35
-_TURNED = 0.2
-_CROSSED = 0.2
+_REORDERED = 0.25
+_CROSSED = 0.15
 
 
 def find_paths(
@@ -72,65 +90,77 @@ def find_paths(
 ) -> tuple[list[CandidatePath], int]:
     """Find the paths that explain the photos best.
 
-    With three photos or more a search beside their kernels comes first, and is the last where its
-    path explains the photos and no other comes near. The search beside the photos alone is
-    repeated until two searches end at one path.
+    Photos of one scene are searched, until two searches end at one path that explains them, four
+    at most; else their kernels are.
 
     Parameters
     ----------
     progress : Progress, optional
         Its plan holds ``cost`` for this work already.
     cost : float
-        Of one search, in the unit of that plan.
+        Of the work, in the unit of that plan.
 
     Returns
     -------
     list of CandidatePath, best first, and the number of searches that ended at the best one
     """
     progress = progress or Progress()
+
+    def spend(share: float) -> None:
+        progress.spend(share * cost)
+
     spectra = exposures.spectra()
-    search = _Search(exposures, spectra, rng, spend=lambda share: progress.spend(share * cost))
-    x = search.from_kernels()
-    if not spectra:
-        return search.run(x), 1
-    if len(exposures.codes) == _FEW_PHOTOS:
-        return _wide_paths(
-            search, spectra, starts=search.paths(x), is_searched=False, spend=search.spend
+    if spectra:
+        return _scene_paths(exposures, spectra, rng, spend=spend)
+    return _KernelSearch(exposures, rng, spend=spend).run(), 1
+
+
+def _described(
+    fit: PhotoFit, terms: Sequence[Term], x: Tensor, costs: Tensor
+) -> list[CandidatePath]:
+    """Candidates with their misfit and the expected errors of their knots."""
+    described = []
+    for candidate, path, cost in zip(x[:, None], fit.paths(x), costs.tolist(), strict=True):
+        misfit = fit.misfit(candidate)
+        noise_factor = max(1.0, misfit) if fit.has_scene else 1.0
+        deviation_px = np.sqrt(0.5 * noise_factor) * expected_deviation_px(
+            fit.unknowns, terms, candidate
         )
-    paths = search.run(x)
-    gap = cost_gap(paths)
-    if gap is not None and gap > CLEAR_GAP and paths[0].misfit <= _EXPLAINED:
-        return paths, 1
-    progress.expect_more(2 * cost)
-    return _wide_paths(
-        search,
-        spectra,
-        starts=np.stack([path.path for path in paths]),
-        is_searched=True,
-        spend=lambda share: progress.spend(2 * share * cost),
-    )
+        described.append(CandidatePath(path, cost, misfit, deviation_px))
+    return described
 
 
-class _Search(PhotoFit):
-    """Search from the photos' kernels."""
+class _KernelSearch(PhotoFit):
+    """Search of a path that explains the photos' kernels."""
 
     def __init__(
-        self,
-        exposures: Exposures,
-        spectra: Sequence[SceneSpectra],
-        rng: np.random.Generator,
-        *,
-        spend: Callable[[float], None],
+        self, exposures: Exposures, rng: np.random.Generator, *, spend: Callable[[float], None]
     ) -> None:
-        super().__init__(exposures, spectra)
+        super().__init__(exposures, ())
         self.rng = rng
         self.spend = spend
         self.length_px = _USUAL_PX
         self.coarse_kernels = {sigma_px: self.kernels(sigma_px) for sigma_px in (4.0, 2.5, 1.5)}
         self.sharpest = self.kernels(1.0, saturated=True)
 
-    def from_kernels(self) -> Tensor:
-        """Candidates from all kinds of starts, fitted to the kernels."""
+    def run(self) -> list[CandidatePath]:
+        """Paths that explain the kernels, best first."""
+        terms: list[Term] = [self.sharpest, self.loose]
+        x, costs = self.best(terms, self._starts(), steps=6, keep=_KERNEL_EVOLUTION.population)
+        self.spend(0.25)
+        x, costs = _KERNEL_EVOLUTION.run(
+            self.unknowns,
+            x,
+            costs,
+            changed=lambda parents: self._changed(terms, parents),
+            spend=lambda share: self.spend(0.5 * share),
+        )
+        x, costs = self.best(terms, x[:3], steps=20, keep=3)
+        self.spend(0.25)
+        return _described(self, terms, x, costs)
+
+    def _starts(self) -> Tensor:
+        """Candidates from all kinds of starts, fitted coarse to fine."""
         from motdiff.psf_frame import without_faint_parts
         from motdiff.tracing import simplest_trajectory
 
@@ -144,38 +174,7 @@ class _Search(PhotoFit):
         x = self.pack(np.concatenate(starts))
         for term, keep in zip(self.coarse_kernels.values(), (48, 24, 10), strict=True):
             x, _ = self.best([term, self.loose], x, steps=8, keep=keep)
-        return self.registered(x)
-
-    def run(self, x: Tensor) -> list[CandidatePath]:
-        """Paths at the ends of descents and crossings of candidates, best first."""
-        coarse: list[Term] = [*self.scenes[:1], self.sharpest, self.loose]
-        x, costs = self.best(coarse, x, steps=6, keep=_EVOLUTION.population)
-        self.spend(0.25)
-        x, costs = _EVOLUTION.run(
-            self.unknowns,
-            x,
-            costs,
-            changed=lambda parents: self._changed(coarse, parents),
-            spend=lambda share: self.spend(0.5 * share),
-        )
-        if not self.scenes:
-            x, costs = self.best(coarse, x[:3], steps=20, keep=3)
-            self.spend(0.25)
-            return self._described(coarse, x, costs)
-        x, _ = self.best([self.scenes[1], self.sharpest, self.stiff], x[:6], steps=6, keep=6)
-        self.spend(0.1)
-        return self._ended(x)
-
-    def finished(self, paths: FloatArray) -> list[CandidatePath]:
-        """Paths (B, K, 2) fitted to the photos' finest details, best first."""
-        return self._ended(self.registered(self.pack(paths)))
-
-    def _ended(self, x: Tensor) -> list[CandidatePath]:
-        # not the kernels: a wrong one stands against the right path
-        x, _ = self.best(self.nearly, x, steps=6, keep=4)
-        x, costs = self.best(self.finest, x, steps=25, keep=len(x))
-        self.spend(0.15)
-        return self._described(self.finest, x, costs)
+        return x
 
     def _decoded(self, count: int, shifts: FloatArray | None = None) -> FloatArray:
         return decoded_paths(
@@ -195,10 +194,10 @@ class _Search(PhotoFit):
         new, _ = self.best(
             [self.coarse_kernels[1.5], self.loose], new, steps=4, keep=_CHILDREN_FITTED
         )
-        return descend(terms, self.registered(new), steps=5)
+        return descend(terms, new, steps=5)
 
     def _children(self, x: Tensor) -> list[FloatArray]:
-        """Cross the best with each other and decoded paths, and reverse loops."""
+        """Cross the best with each other and decoded paths, and reorder their loops."""
         shifts = self.unknowns.kernel_shifts(x)
         paths = self.paths(x) + shifts[:, :1].numpy()  # all aligned with the first kernel
         children = []
@@ -206,109 +205,103 @@ class _Search(PhotoFit):
             partners = [*paths[:i], *paths[i + 1 :]]
             if i < 2:
                 partners += list(self._decoded(12, shifts[i].numpy().astype(np.float64)))
-            children += loop_reversals(path, count=4 if i < 2 else 2, rng=self.rng)
-            crossings = (crossed(path, partner, rng=self.rng) for partner in partners)
-            children += [child for child in crossings if child is not None]
+            changed = [
+                loops_reordered(path, rng=self.rng) for _ in range(_REORDERED_BESIDE_KERNELS)
+            ]
+            changed += [crossed(path, partner, rng=self.rng) for partner in partners]
+            children += [child for child in changed if child is not None]
         return children
 
-    def _described(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> list[CandidatePath]:
-        described = []
-        for candidate, path, cost in zip(x[:, None], self.paths(x), costs.tolist(), strict=True):
-            misfit = self.misfit(candidate)
-            noise_factor = max(1.0, misfit) if self.scenes else 1.0
-            deviation_px = np.sqrt(0.5 * noise_factor) * expected_deviation_px(
-                self.unknowns, terms, candidate
-            )
-            described.append(CandidatePath(path, cost, misfit, deviation_px))
-        return described
 
-
-def _wide_paths(
-    search: _Search,
+def _scene_paths(
+    exposures: Exposures,
     spectra: Sequence[SceneSpectra],
+    rng: np.random.Generator,
     *,
-    starts: FloatArray,
-    is_searched: bool,
     spend: Callable[[float], None],
 ) -> tuple[list[CandidatePath], int]:
-    """Search beside the photos alone, from paths (N, K, 2) and random walks.
+    """Paths that explain photos of one scene, best first, and how many searches ended at the best.
 
-    Searches are repeated, the later ones from draws alone, until two of them end at one path,
-    at most three times. Starts that a search ended at (``is_searched``) count as its end.
-
-    Returns
-    -------
-    Paths, best first, and the number of searches that ended at the best
+    Searches are repeated until two of them end at one path that explains the photos, four at most.
     """
-    wide = _WideSearch(search.exposures, spectra, search.rng)
-    starts = with_knots(starts, _FEW_KNOTS)
+    search = _SceneSearch(exposures, spectra)
+    share = 0.7 / _MOST_SEARCHES
     results: list[tuple[Tensor, Tensor]] = []
-    if is_searched:
-        searched = wide.registered(wide.pack(starts))
-        results.append(wide.best(wide.beside_photos(2), searched, steps=6, keep=len(searched)))
-    share = 0.7 / (_MOST_SEARCHES - len(results))
-    times = 0
-    while times < 2 and len(results) < _MOST_SEARCHES:
-        results.append(wide.run(starts, spend=lambda s: spend(share * s)))
-        starts = starts[:0]
-        x, _, times = merged(wide.unknowns, results, keep=_WIDE_RESULTS, same_px=SAME_PX)
+    is_agreed = False
+    while not is_agreed and len(results) < _MOST_SEARCHES:
+        searches = [
+            partial(search.run, generator, spend=lambda s: spend(share * s))
+            for generator in rng.spawn(_SEARCHES_AT_ONCE)
+        ]
+        results += side_by_side(searches)
+        x, _, times = merged(search.unknowns, results, keep=_RESULTS, same_px=SAME_PX)
+        is_agreed = times > 1 and search.misfit(x[:1]) <= _EXPLAINED
     spend(share * (_MOST_SEARCHES - len(results)))
     if times == 1:  # what each of them has right may belong together
-        x, costs = wide.best(wide.beside_photos(2), x, steps=2, keep=len(x))
-        x, _ = wide.evolved(x, costs, spend=lambda s: spend(0.15 * s))
+        x, costs = search.fitted(x, ((FINEST, 2, _RESULTS),))
+        x, _ = search.evolved(x, costs, rng, spend=lambda s: spend(0.15 * s))
     else:
         spend(0.15)
-    few_knots_paths = with_knots(wide.paths(x), KNOTS)
-    paths = search.finished(few_knots_paths)
+    fine = PhotoFit(exposures, spectra)
+    x = search.unknowns.resampled(x, KNOTS)
+    searched_path = fine.paths(x)[0]
+    x, costs = fine.fitted(x, _LAST)
+    spend(0.15)
+    paths = _described(fine, fine.beside_photos(FINEST), x, costs)
     # with more knots another path may be the best, at which no other search ended
-    return paths, times if rms_distance_px(paths[0].path, few_knots_paths[0]) < SAME_PX else 1
+    return paths, times if rms_distance_px(paths[0].path, searched_path) < SAME_PX else 1
 
 
-class _WideSearch(PhotoFit):
-    """Search beside the photos alone, with few knots.
+class _SceneSearch(PhotoFit):
+    """Search of a path that explains photos of one scene, with few knots.
 
-    The coarser grids lead a path near a minimum; only the finest tells the right one, as wrong
-    paths differ most beyond 0.16 cycles/px.
+    Only the finest stage tells the right path, as wrong ones differ most beyond 0.16 cycles/px.
     """
 
-    def __init__(
-        self, exposures: Exposures, spectra: Sequence[SceneSpectra], rng: np.random.Generator
-    ) -> None:
+    def __init__(self, exposures: Exposures, spectra: Sequence[SceneSpectra]) -> None:
         super().__init__(exposures, spectra, knots=_FEW_KNOTS)
-        self.rng = rng
         self.measure = PathMeasure(exposures.kernels, exposures.codes)
 
-    def run(self, starts: FloatArray, *, spend: Callable[[float], None]) -> tuple[Tensor, Tensor]:
-        """Candidates and costs, best first, from paths (N, K, 2), draws and random walks."""
-        samples = self.measure.draw(_DRAWS, knots=self.knots, rng=self.rng)
-        walks = _usual_walks(self.rng, self.knots, _LONE_WALKS)
-        x = self.registered(self.pack(np.concatenate([starts, samples, walks])))
-        x, _ = self.best(self.beside_photos(0), x, steps=4, keep=32)
-        x, _ = self.best(self.beside_photos(1), x, steps=4, keep=12)
-        x, costs = self.best(self.beside_photos(2), x, steps=4, keep=_WIDE_EVOLUTION.population)
+    def run(
+        self, rng: np.random.Generator, *, spend: Callable[[float], None]
+    ) -> tuple[Tensor, Tensor]:
+        """Candidates and costs, best first, from draws and random motions."""
+        walks = _usual_walks(rng, self.knots, _LONE_WALKS)
+        sweeps = _sweeps(rng, self.knots, _LONE_SWEEPS)
+        random = self._packed(np.concatenate([walks, sweeps]))
+        from_light = self._packed(self.measure.draw(_DRAWS, knots=self.knots, rng=rng))
+        loose, _ = self.fitted(torch.cat([from_light, random]), _LOOSE_STARTS)
+        stiff, _ = self.fitted(random, _STIFF_STARTS)
+        x, costs = self.fitted(torch.cat([loose, stiff, from_light]), _STARTS)
         spend(0.2)
-        return self.evolved(x, costs, spend=lambda s: spend(0.8 * s))
+        return self.evolved(x, costs, rng, spend=lambda s: spend(0.8 * s))
 
     def evolved(
-        self, x: Tensor, costs: Tensor, *, spend: Callable[[float], None]
+        self,
+        x: Tensor,
+        costs: Tensor,
+        rng: np.random.Generator,
+        *,
+        spend: Callable[[float], None],
     ) -> tuple[Tensor, Tensor]:
         """Candidates and costs, best first, after changes of the best ones while that helps."""
-        return _WIDE_EVOLUTION.run(self.unknowns, x, costs, changed=self._changed, spend=spend)
+        schedules = cycle(_CHILD_SCHEDULES)
 
-    def _changed(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Children of candidates, fitted on finer and finer grids, and their costs."""
-        new = self.registered(self.pack(self._children(self.paths(x))))
-        new, _ = self.best(self.beside_photos(0), new, steps=2, keep=20)
-        new, _ = self.best(self.beside_photos(1), new, steps=3, keep=8)
-        return descend(self.beside_photos(2), new, steps=4)
+        def changed(parents: Tensor) -> tuple[Tensor, Tensor]:
+            children = self._children(self.paths(parents), rng)
+            return self.fitted(self._packed(children), next(schedules))
 
-    def _children(self, paths: FloatArray) -> FloatArray:
+        return _SCENE_EVOLUTION.run(self.unknowns, x, costs, changed=changed, spend=spend)
+
+    def _packed(self, paths: FloatArray) -> Tensor:
+        return self.registered(self.pack(paths))
+
+    def _children(self, paths: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Change parents drawn from (N, K, 2), the first likelier.
 
-        A stretch is led through the light that the rest of the path leaves, a loop is turned, a
-        stretch of another path taken, or one drawn anew between its ends.
+        A stretch is led through the light that the rest of the path leaves, loops come in another
+        order, a stretch of another path is taken, or one drawn anew between its ends.
         """
-        rng = self.rng
         chance = np.exp(-0.3 * np.arange(len(paths)))
         parents = rng.choice(len(paths), _CHILDREN, p=chance / chance.sum())
         children = []
@@ -317,9 +310,9 @@ class _WideSearch(PhotoFit):
             child = None
             if kind < _REROUTED:
                 child = self.measure.rerouted(path, rng=rng)
-            elif kind < _REROUTED + _TURNED:
-                child = loop_reversals(path, count=1, rng=rng)[0]
-            elif kind < _REROUTED + _TURNED + _CROSSED:
+            elif kind < _REROUTED + _REORDERED:
+                child = loops_reordered(path, rng=rng)
+            elif kind < _REROUTED + _REORDERED + _CROSSED:
                 child = crossed(path, paths[rng.integers(len(paths))], rng=rng)
             if child is None:
                 child = bridged(path, _usual_walks(rng, self.knots, 1)[0], rng=rng)
@@ -329,6 +322,16 @@ class _WideSearch(PhotoFit):
 
 def _usual_walks(rng: np.random.Generator, knots: int, count: int) -> FloatArray:
     return _walks(rng, knots, _USUAL_PX * rng.uniform(0.5, 1.5, count))
+
+
+def _sweeps(rng: np.random.Generator, knots: int, count: int) -> FloatArray:
+    """Smooth motions (B, K, 2), cubic in time, as hands and machines make them."""
+    t = np.linspace(-1, 1, knots)
+    shares = rng.standard_normal((count, len(_SWEEP_SHARES), 2)) * np.array(_SWEEP_SHARES)[:, None]
+    paths = np.polynomial.legendre.legvander(t, len(_SWEEP_SHARES))[:, 1:] @ shares
+    extents = np.ptp(paths, axis=1).max(axis=1)
+    lengths_px = _USUAL_PX * rng.uniform(0.1, 1.0, count)
+    return np.asarray(paths * (lengths_px / extents)[:, None, None])
 
 
 def _walks(rng: np.random.Generator, knots: int, lengths_px: FloatArray) -> FloatArray:

@@ -17,6 +17,7 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 _PASS_PX = 1.5  # strands nearer than this meet
+_HUB_PX = 2.5  # loops that pass so near are at one place: the fit closes the gaps
 _LOOP_PX = 4.0  # less path between two meetings is no loop
 _MOST_MEETINGS = 10  # the orders double with each
 _FAINT = 0.04  # share of the peak
@@ -130,12 +131,6 @@ def draw_index(weights: FloatArray, rng: np.random.Generator) -> NDArray[np.intp
     return np.asarray(np.minimum(index, weights.shape[1] - 1))  # rounding may pass the last one
 
 
-def with_knots(paths: FloatArray, knots: int) -> FloatArray:
-    """Paths (N, K, 2) at so many times spaced evenly: (N, knots, 2)."""
-    times = np.linspace(0, 1, knots)
-    return np.stack([Trajectory.from_samples(path).at(times) for path in paths])
-
-
 def orders(path: Trajectory, *, knots: int, count: int) -> FloatArray:
     """Orders in time (N, knots, 2), N <= count, of one PSF: loops and the whole path reversed."""
     fine = path.at(np.linspace(0, 1, 20 * (knots - 1) + 1))
@@ -157,13 +152,41 @@ def orders(path: Trajectory, *, knots: int, count: int) -> FloatArray:
     return np.stack(paths)[:count]
 
 
-def loop_reversals(
-    points: FloatArray, *, count: int, rng: np.random.Generator
-) -> list[FloatArray]:
-    """Paths (K, 2) with one loop of ``points`` reversed; the path reversed if it has none."""
-    loops = _meetings(points, Trajectory.from_samples(points))
-    paths = [_reversed_loop(points, start, stop) for start, stop in loops] or [points[::-1]]
-    return [paths[i] for i in rng.permutation(len(paths))[:count]]
+def loops_reordered(points: FloatArray, *, rng: np.random.Generator) -> FloatArray | None:
+    """Path (K, 2) whose loops at one of its points come in another order; None without loops.
+
+    Two loops are exchanged, or some that follow each other reversed.
+    """
+    distance = np.linalg.norm(points - points[rng.integers(len(points))], axis=1)
+    steps_px = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    arc_px = np.concatenate([[0.0], np.cumsum(steps_px)])
+    around = np.pad(distance, 1, constant_values=np.inf)
+    nearest = (distance < _HUB_PX) & (distance <= around[:-2]) & (distance <= around[2:])
+    visits: list[int] = []
+    for index in np.flatnonzero(nearest).tolist():
+        if not visits or arc_px[index] - arc_px[visits[-1]] > _LOOP_PX:
+            visits.append(index)
+    if len(visits) < 2:
+        return None
+    head, *loops, tail = np.split(points, visits)
+    first, last = sorted(rng.integers(len(loops), size=2))
+    if first < last and rng.random() < 0.5:
+        loops[first], loops[last] = loops[last], loops[first]
+    else:
+        loops[first : last + 1] = [loop[::-1] for loop in loops[first : last + 1][::-1]]
+    return _joined([stretch for stretch in (head, *loops, tail) if len(stretch)])
+
+
+def _joined(stretches: Sequence[FloatArray]) -> FloatArray:
+    """Stretches (n, 2) one after the other, each bent so that its ends meet its neighbours'."""
+    joined = []
+    for i, stretch in enumerate(stretches):
+        start = stretches[i - 1][-1] if i else stretch[0]
+        stop = stretches[i + 1][0] if i + 1 < len(stretches) else stretch[-1]
+        share = np.linspace(0, 1, len(stretch))[:, None]
+        gaps = (start - stretch[0]) / 2, (stop - stretch[-1]) / 2
+        joined.append(stretch + (1 - share) * gaps[0] + share * gaps[1])
+    return np.concatenate(joined)
 
 
 def crossed(

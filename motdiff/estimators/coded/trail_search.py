@@ -21,7 +21,7 @@ from motdiff.estimators.coded.candidates import (
 )
 from motdiff.estimators.coded.codes import middles, open_at
 from motdiff.estimators.coded.misfit import Roughness, Term, descend
-from motdiff.estimators.coded.starts import bridged, crossed, loop_reversals, orders
+from motdiff.estimators.coded.starts import bridged, crossed, loops_reordered, orders
 from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns
 from motdiff.motions import boracchi_foi
 from motdiff.path_psfs import interpolated
@@ -35,13 +35,14 @@ _ROUGHNESS = 10.0  # second differences of 0.3 px at 53 knots
 _COARSE = ((4.0, 0.06), (2.5, 0.04), (1.5, 0.02), (1.0, 0.007))
 _STARTS = 160  # random walks of a search
 _SELECTED = (80, 40, 20)  # after each coarse blur
-_EVOLUTION = Evolution(rounds=40, patience=6, improved=0.98, population=12)
+_SAME_PX = 0.3  # nearer paths are one: trails tell a path to a fraction of a pixel
+_EVOLUTION = Evolution(rounds=40, patience=6, improved=0.98, population=12, apart_px=_SAME_PX)
 _PARENTS = 6  # crossed with each other
 _NEWCOMERS = 8  # walks of each round, against inbreeding
+_REORDERED = 5
 _REROUTED = 5  # children of a parent with a stretch drawn anew
 _SEARCHES = 5
 _RESULTS = 4
-_SAME_PX = 0.3  # nearer paths are one
 _WALK_PX = (20.0, 90.0)  # length of a path, px
 _LONGEST_PX = 160.0  # walks stretched to the trail's shape are drawn again beyond it
 _TRACE_BLURS_PX = (0.7, 1.2, 2.0)  # bridge the gaps of closed chips
@@ -280,10 +281,10 @@ class _TrailSearch:
         paths = self.unknowns.paths(x).numpy().astype(np.float64)
         children = [self._walk() for _ in range(_NEWCOMERS)]
         for i, path in enumerate(paths[:_PARENTS]):
-            children += loop_reversals(path, count=5, rng=self.rng)
             partners = (*paths[:i], *paths[i + 1 :])
-            crossings = (crossed(path, partner, rng=self.rng) for partner in partners)
-            children += [child for child in crossings if child is not None]
+            changed = [loops_reordered(path, rng=self.rng) for _ in range(_REORDERED)]
+            changed += [crossed(path, partner, rng=self.rng) for partner in partners]
+            children += [child for child in changed if child is not None]
             children += [self._slipped(path), path[::-1]]
             children += [bridged(path, self._walk(), rng=self.rng) for _ in range(_REROUTED)]
         return children
@@ -299,7 +300,9 @@ class _TrailSearch:
         self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int
     ) -> tuple[Tensor, Tensor]:
         """Candidates after some steps of descent, the best of them."""
-        return distinct(self.unknowns, *descend(terms, x, steps=steps), keep=keep)
+        return distinct(
+            self.unknowns, *descend(terms, x, steps=steps), keep=keep, apart_px=_SAME_PX
+        )
 
     def described(self, x: Tensor, costs: Tensor) -> list[CandidatePath]:
         """Candidates with their misfit and the standard deviations of their knots."""

@@ -1,4 +1,4 @@
-"""Rounds of changed candidates: the best are kept, and it ends where nothing improves."""
+"""Candidates: rounds of changes, of which the best survive."""
 
 import pytest
 import torch

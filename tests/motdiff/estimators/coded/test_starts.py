@@ -4,7 +4,7 @@ what both share."""
 import numpy as np
 import pytest
 
-from motdiff.estimators.coded.starts import crossed, decoded_paths, loop_reversals, orders
+from motdiff.estimators.coded.starts import crossed, decoded_paths, loops_reordered, orders
 from motdiff.metrics import mnc_subpixel
 from motdiff.trajectory import Trajectory
 
@@ -55,27 +55,38 @@ def test_orders_are_no_more_than_asked_for(most: int) -> None:
     np.testing.assert_allclose(found[0], path.at(np.linspace(0, 1, KNOTS)), atol=1e-9)
 
 
-def test_loop_reversals_turn_one_loop_round() -> None:
-    points = curls(3, samples=401)
+def clover(leaves: int, knots: int) -> np.ndarray:
+    """Path (K, 2) of loops that all begin and end at the origin, each larger than the last."""
+    t = np.linspace(0, 1, (knots - 1) // leaves + 1)[:-1]
+    rise = np.stack([np.sin(np.pi * t) * np.cos(t - 0.5), np.sin(np.pi * t) * np.sin(t - 0.5)], 1)
+    loops = []
+    for leaf in range(leaves):
+        angle = 2 * np.pi * leaf / leaves
+        turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+        loops.append((12 + 3 * leaf) * rise @ turn)
+    return np.concatenate([*loops, [[0.0, 0.0]]])
+
+
+def test_loops_at_one_place_come_in_any_order_and_direction() -> None:
+    points = clover(3, 91)
     rng = np.random.default_rng(0)
-    found = loop_reversals(points, count=9, rng=rng)
-    assert len(found) == 2
-    psf = Trajectory.from_samples(points).psf()
-    for turned in found:
-        assert turned.shape == points.shape
-        assert apart_px(turned, points) > 3
-        np.testing.assert_allclose(turned[[0, -1]], points[[0, -1]])
-        np.testing.assert_allclose(
-            np.sort(turned, axis=0), np.sort(points, axis=0)
-        )  # the same places
-        assert mnc_subpixel(Trajectory.from_samples(turned).psf(), psf) > 0.99
-    assert len(loop_reversals(points, count=1, rng=rng)) == 1
+    tips = points[15::30]
+    orders_of_leaves = set()
+    for _ in range(300):
+        child = loops_reordered(points, rng=rng)
+        if child is None:
+            continue
+        assert child.shape == points.shape
+        assert np.linalg.norm(np.diff(child, axis=0), axis=1).max() < 3  # it never jumps
+        distance = np.linalg.norm(child[15::30, None] - tips, axis=-1)
+        if distance.min(axis=1).max() < 2.5:  # else strands that pass elsewhere were exchanged
+            orders_of_leaves.add(tuple(distance.argmin(axis=1)))
+    assert len(orders_of_leaves) >= 4
 
 
-def test_where_there_is_no_loop_the_whole_is_reversed() -> None:
+def test_a_path_that_meets_itself_nowhere_has_no_loops() -> None:
     line = np.linspace((0, 0), (20, 5), KNOTS)
-    (turned,) = loop_reversals(line, count=4, rng=np.random.default_rng(0))
-    np.testing.assert_array_equal(turned, line[::-1])
+    assert loops_reordered(line, rng=np.random.default_rng(0)) is None
 
 
 def test_crossing_takes_a_stretch_of_the_other_path() -> None:
