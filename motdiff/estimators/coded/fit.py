@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motdiff.estimators.coded.candidates import distinct
+from motdiff.estimators.coded.candidates import CandidatePath, distinct, expected_deviation_px
 from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.misfit import (
     KernelTerm,
@@ -156,3 +156,15 @@ class PhotoFit:
     ) -> tuple[Tensor, Tensor]:
         """Candidates after some steps of descent, the best of them."""
         return distinct(self.unknowns, *descend(terms, x, steps=steps), keep=keep)
+
+    def described(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> list[CandidatePath]:
+        """Candidates (B, N) with their misfit and the expected errors of their knots."""
+        described = []
+        for candidate, path, cost in zip(x[:, None], self.paths(x), costs.tolist(), strict=True):
+            misfit = self.misfit(candidate)
+            noise_factor = max(1.0, misfit) if self.has_scene else 1.0
+            deviation_px = np.sqrt(0.5 * noise_factor) * expected_deviation_px(
+                self.unknowns, terms, candidate
+            )
+            described.append(CandidatePath(path, cost, misfit, deviation_px))
+        return described

@@ -11,6 +11,7 @@ from scipy import ndimage
 
 from motdiff.estimators.coded.codes import middles, open_at
 from motdiff.metrics import register_shift
+from motdiff.motions import boracchi_foi
 from motdiff.path_psfs import interpolated
 from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
@@ -18,6 +19,7 @@ from motdiff.types import FloatArray
 
 _PASS_PX = 1.5  # strands nearer than this meet
 _HUB_PX = 2.5  # loops that pass so near are at one place: the fit closes the gaps
+_SWEEP_SHARES = (1.0, 0.6, 0.4)  # of Legendre polynomials of degree 1, 2 and 3
 _LOOP_PX = 4.0  # less path between two meetings is no loop
 _MOST_MEETINGS = 10  # the orders double with each
 _FAINT = 0.04  # share of the peak
@@ -273,3 +275,19 @@ def _reversed_loop(points: FloatArray, start: int, stop: int) -> FloatArray:
     out = points.copy()
     out[start : stop + 1] = points[start : stop + 1][::-1]
     return out
+
+
+def random_walks(rng: np.random.Generator, knots: int, lengths_px: FloatArray) -> FloatArray:
+    """Random walks (B, K, 2) of such lengths."""
+    times = np.linspace(0, 1, knots)
+    return np.stack([boracchi_foi(rng, max_length_px=px).at(times) for px in lengths_px])
+
+
+def random_sweeps(rng: np.random.Generator, knots: int, extents_px: FloatArray) -> FloatArray:
+    """Smooth motions (B, K, 2) of such extents, cubic in time, as hands and machines make them."""
+    t = np.linspace(-1, 1, knots)
+    shares = rng.standard_normal((len(extents_px), len(_SWEEP_SHARES), 2))
+    shares *= np.array(_SWEEP_SHARES)[:, None]
+    paths = np.polynomial.legendre.legvander(t, len(_SWEEP_SHARES))[:, 1:] @ shares
+    factors = extents_px / np.ptp(paths, axis=1).max(axis=1)
+    return np.asarray(paths * factors[:, None, None])
