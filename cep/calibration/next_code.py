@@ -241,8 +241,8 @@ def search_next(
         longest = [longest_rest([*photo_codes, code]) for code in codes]
         allowed = ceil(log2(limits.chips))
         return [
-            (-max(0, rest - allowed), chi_square)
-            for rest, chi_square in zip(longest, chi_squares, strict=True)
+            (-max(0, rest_chips - allowed), chi_square)
+            for rest_chips, chi_square in zip(longest, chi_squares, strict=True)
         ]
 
     starts = [*start_codes(limits), *draw(limits, _DRAWN, rng=rng)]
