@@ -6,9 +6,10 @@ well that is known.
         order.jsonl] [--workers 2] [--seed 0]
 
 A set names the photos' codes, as `codes_of_set` of lab/bench/coded/calibrations.py does; `one` is
-Raskar's code; `open+next3`, the open shutter and three codes, each chosen after the photos before
-it (`open+next`: one). Each photo shows one crop, moved by up to `--moved` px of its own, through
-the light-true PSF of its code, with Gauss noise of so much of full scale. The n-th motion is the
+Raskar's code; `open+next3`, the open shutter and codes that are each chosen after the photos before
+it, until an order is sure, three at most (`open+next`: one). Each photo shows one crop, moved by up
+to `--moved` px of its own, through the light-true PSF of its code, with Gauss noise of so much of
+full scale. The n-th motion is the
 same in every set and at every noise. What may differ from photo to photo beside: `--brightness`,
 `--scaled`, `--wobble`. With `--light` the photos show a small light in the dark.
 
@@ -267,9 +268,9 @@ def chosen_figures(case: Case) -> dict[str, object]:
     for _ in range(int(case.set.removeprefix(CHOSEN) or 1)):
         began_cpu = time.process_time()
         codes = [ShutterCode(bits) for bits in case.codes]
-        choice = next_code(photos, codes, estimate, least_probability=2, chips=chips, rng=rng)
+        choice = next_code(photos, codes, estimate, chips=chips, rng=rng)
         if choice is None:
-            raise ValueError("the open photo shows no motion")
+            break
         design = {
             "design_cpu_s": time.process_time() - began_cpu,
             "design_orders": choice.orders,
@@ -283,6 +284,8 @@ def chosen_figures(case: Case) -> dict[str, object]:
         if next_estimate is None:
             break
         estimate = next_estimate
+    if not steps:
+        raise ValueError("the open photo shows no motion")
     return steps[-1] | {"steps": steps}
 
 

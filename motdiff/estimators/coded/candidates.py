@@ -17,6 +17,8 @@ from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
+EXPLAINED = 1.1
+"""Misfit up to which a path explains the photos; right paths have 0.6 to 1.1."""
 UNEXPLAINED = 1.25
 """Misfit above which a path does not explain the photos."""
 SAME_PX = 1.0
@@ -49,8 +51,8 @@ class CandidatePath:
 
 
 def explained_share(misfit: float) -> float:
-    """Factor of a probability for a path with a misfit above 1; the power is a guess."""
-    return 1.0 if np.isnan(misfit) else min(1.0, misfit**-_MISFIT_POWER)
+    """Factor of a probability for a path that explains the photos less; the power is a guess."""
+    return 1.0 if np.isnan(misfit) else min(1.0, (misfit / EXPLAINED) ** -_MISFIT_POWER)
 
 
 def cost_gap(paths: Sequence[CandidatePath]) -> float | None:

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from motdiff.estimators.coded.candidates import (
+    EXPLAINED,
     SAME_PX,
     CandidatePath,
     Evolution,
@@ -42,7 +43,6 @@ from motdiff.progress import Progress
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
-_EXPLAINED = 1.1  # misfit; right paths have 0.6 to 1.0 on simulated walks
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
 _DRAWS = 64  # starts of a search from the kernels' light
 _LONE_WALKS = 32  # and without it
@@ -125,7 +125,7 @@ def _scene_paths(
         ]
         results += side_by_side(searches)
         x, _, times = merged(search.unknowns, results, keep=_RESULTS, same_px=SAME_PX)
-        is_agreed = times > 1 and search.misfit(x[:1]) <= _EXPLAINED
+        is_agreed = times > 1 and search.misfit(x[:1]) <= EXPLAINED
     spend(share * (_MOST_SEARCHES - len(results)))
     if times == 1:  # what each of them has right may belong together
         x, costs = search.fitted(x, ((FINEST, 2, _RESULTS),))
