@@ -6,12 +6,12 @@ well that is known.
         order.jsonl] [--workers 2] [--seed 0]
 
 A set names the photos' codes, as `codes_of_set` of lab/bench/coded/calibrations.py does; `one` is
-Raskar's code; `open+next3`, the open shutter and codes that are each chosen after the photos before
-it, until an order is sure, three at most (`open+next`: one). Each photo shows one crop, moved by up
-to `--moved` px of its own, through the light-true PSF of its code, with Gauss noise of so much of
-full scale. The n-th motion is the
-same in every set and at every noise. What may differ from photo to photo beside: `--brightness`,
-`--scaled`, `--wobble`. With `--light` the photos show a small light in the dark.
+Raskar's code; `open+next3`, the open shutter and codes that are each chosen after the photos
+before it, until an order is sure, three at most (`open+next`: one). Each photo shows one crop,
+moved by up to `--moved` px of its own, through the light-true PSF of its code, with Gauss noise of
+so much of full scale. The n-th motion is the same in every set and at every noise. What may differ
+from photo to photo beside: `--brightness`, `--scaled`, `--wobble`. With `--light` the photos show
+a small light in the dark.
 
 `right`: the rms distance from the truth, at equal times after the best shift, is at most 1 px and
 smaller than that of the path run backwards; `any given`: one of the paths that the estimate gives
