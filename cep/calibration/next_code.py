@@ -154,7 +154,7 @@ def next_code(
     surviving = survivors(contrast, len(estimate.trajectories))
     if len(surviving) < len(paths):
         contrast = OrderContrast(paths[surviving], photo_codes, chips=chips, scene=scene)
-    code, chi_square = search_next(contrast, photo_codes, limits, rng=rng, progress=progress)
+    code, chi_square = search_next(contrast, limits, rng=rng, progress=progress)
     return NextCode(
         ShutterCode(code, chip_ns),
         orders=contrast.count,
@@ -212,7 +212,6 @@ def survivors(contrast: OrderContrast, count: int) -> NDArray[np.intp]:
 
 def search_next(
     contrast: OrderContrast,
-    photo_codes: Sequence[NDArray[Any]],
     limits: Limits,
     *,
     rng: np.random.Generator,
@@ -226,20 +225,15 @@ def search_next(
     avoided: in that time photos show the path, but not which way it ran, and the right path may be
     none of these orders.
 
-    Parameters
-    ----------
-    photo_codes : sequence of (n,) array_like of 0 and 1
-        Of the photos taken.
-
     Returns
     -------
     (n,) int8 of 0 and 1, and its least chi-square
     """
+    allowed = ceil(log2(limits.chips))
 
     def rated(codes: Sequence[Code], pairs: NDArray[np.intp] | None = None) -> list[_Rating]:
         chi_squares = contrast.of(codes, pairs).min(axis=1).tolist()
-        longest = [longest_rest([*photo_codes, code]) for code in codes]
-        allowed = ceil(log2(limits.chips))
+        longest = [longest_rest([*contrast.codes, code]) for code in codes]
         return [
             (-max(0, rest_chips - allowed), chi_square)
             for rest_chips, chi_square in zip(longest, chi_squares, strict=True)

@@ -125,7 +125,8 @@ class OrderContrast:
             np.float32
         )  # (knots, n)
         self._pairs = np.stack(np.triu_indices(len(orders), 1))
-        self._taken = [self._photo(np.asarray(code)) for code in codes]
+        self.codes = [np.asarray(code) for code in codes]
+        self._taken = [self._photo(code) for code in self.codes]
 
     @property
     def count(self) -> int:

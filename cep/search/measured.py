@@ -227,9 +227,8 @@ def _halved(
     """Measure a group, ever fewer of it on more photographs."""
     remaining = list(group)
     levels = np.empty((len(group), 0))
-    lost: list[
-        tuple[Exposure, FloatArray, float]
-    ] = []  # with what it is behind the best of its round
+    # with what each is behind the best of its round
+    lost: list[tuple[Exposure, FloatArray, float]] = []
     for number in rounds:
         levels = np.hstack([levels, measure(remaining, range(levels.shape[1], number))])
         order = np.argsort(-levels.mean(axis=1), kind="stable")

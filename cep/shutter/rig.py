@@ -124,7 +124,8 @@ class Rig:
         return self._prepared.record
 
     def _virtual(self, code: ShutterCode, settings: ShotSettings) -> _Prepared:
-        assert isinstance(self.camera, BurstCamera)  # any other has a port
+        self.camera.controller_port(None)  # refused where the camera needs a controller
+        assert isinstance(self.camera, BurstCamera)
         settings.closed_s()  # refused, although nothing waits for it
         played = self.camera.plays(code)
         exposure_s = played.duration_ns * 1e-9

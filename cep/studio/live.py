@@ -119,9 +119,8 @@ class LiveBench:
         self.axis = main_axis(scenario.trajectory)
         # what the model's gains lack on photographs, by the kind of exposure
         self._shifts_db = shifts_db(scenario.trajectory, problem.camera)
-        self._exposures: tuple[float, tuple[Exposure, ...]] | None = (
-            None  # of the latest error of the path
-        )
+        # of the latest error of the path
+        self._exposures: tuple[float, tuple[Exposure, ...]] | None = None
         self._expected: tuple[float, ExpectedPsnr] | None = None  # of this error
         self._finding = threading.Lock()
 

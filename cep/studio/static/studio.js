@@ -338,12 +338,8 @@ function drawCurve() {
 function drawPins() {
   if (!shown) return;
   const figures = { ...shown.figures, psnr_db: ownPsnr()?.psnr_db ?? null };
-  const rows = [{ name: "this code", bits: state.bits, colour: "code", figures, acts: [] }];
-  const measured = state.pins.filter((pin) => pinned.has(pin.name));
-  for (const pin of state.pins) {
-    const i = measured.indexOf(pin);
-    rows.push({ ...pin, colour: i < 0 ? "" : `pin${i % 5}`, figures: pinned.get(pin.name), acts: ["take", "unpin"] });
-  }
+  const rows = [{ name: "this code", bits: state.bits, figures, acts: [] }];
+  for (const pin of state.pins) rows.push({ ...pin, figures: pinned.get(pin.name), acts: ["take", "unpin"] });
   const exposures = [...(judged?.ways ?? [])];
   if (advice?.key === adviceKey() && advice.ways.code) exposures.push({ ...advice.ways.code, name: "best code found" });
   for (const { name, bits, psnr_db, saturates, within_limits } of exposures) {

@@ -24,7 +24,7 @@ UNEXPLAINED = 1.25
 SAME_PX = 1.0
 """Rms distance within which two paths count as one."""
 _MOST_PATHS = 3  # the best, and alternatives
-_MISFIT_POWER = 4.0  # so steep that a misfit of 1.5 leaves a fifth
+_MISFIT_POWER = 4.0  # so steep that a misfit of 1.65 leaves a fifth
 
 
 @dataclass(frozen=True)

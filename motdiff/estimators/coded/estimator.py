@@ -40,15 +40,16 @@ _LEAST_EXTENTS = 5.0  # of a path, in units of its expected error
 class CodedEstimator:
     """Find the motion, with its order and direction in time, of photos taken through known codes.
 
-    The kernels are searched, in photos of one scene together, and paths decoded from them, orders
-    of the traced path and random walks are fitted to the kernels. Photos of one scene are then
-    searched themselves, from these paths, others that share the kernels' light and random motions:
-    one photo blurred by the PSF of another must equal the other blurred by the first's. The best
-    are changed and fitted again, in searches of their own until two of them agree, four at most.
+    The kernels are searched, in photos of one scene together. Photos of one scene are then
+    searched themselves, from paths that share the kernels' light and from random motions: one
+    photo blurred by the PSF of another must equal the other blurred by the first's. The best are
+    changed and fitted again, in searches of their own until two of them agree, four at most. Where
+    the photos show no one scene, paths decoded from the kernels, orders of the traced path and
+    random walks are fitted to the kernels.
 
-    ``confidence`` is the probability that the order is right: the path's posterior beside the
-    others that were found, times the share of simulated motions of which the search found the
-    right one.
+    ``confidence`` is the probability that the order is right: the share of simulated motions of
+    which it was, with as many searches that agree and a next path so much dearer; less where the
+    path leaves more than the noise.
     ``details`` hold it as ``order_confidence``, the expected error ``path_uncertainty_px`` (rms
     over time), ``deviation_px`` at evenly spaced times and ``searches_agreeing``. ``weights`` are
     relative among the candidate paths.
@@ -182,7 +183,7 @@ def _order_probability(misfit: float, photos: int, *, times: int, gap: float | N
     where no search ended elsewhere).
     """
     if photos == 1:
-        return _ONE_PHOTO * explained_share(misfit)
+        return _ONE_PHOTO
     if not np.isfinite(misfit):
         return _KERNELS_ALONE
     is_dearer = gap is None or gap > _DEARER

@@ -1,4 +1,4 @@
-"""Fit of candidate paths to coded photos: its terms, and the candidates' registration."""
+"""Fit of candidate paths to coded photos: terms, stages, and the candidates' registration."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from motdiff.types import FloatArray
 
 KNOTS = 53
 """Of a path that is fitted finely."""
-_LOOSE = 0.3  # roughness beside kernels
+_KERNEL_ROUGHNESS = 0.3
 _SATURATION = 60.0  # a fifth of what a sure kernel costs that is off by all of itself
 
 
@@ -71,7 +71,7 @@ class PhotoFit:
 
     Attributes
     ----------
-    loose : Roughness
+    kernel_roughness : Roughness
         Beside kernels.
     """
 
@@ -81,7 +81,7 @@ class PhotoFit:
         self.exposures = exposures
         self.knots = knots
         self.unknowns = Unknowns(knots, len(exposures.codes))
-        self.loose = Roughness(self.unknowns, _LOOSE)
+        self.kernel_roughness = Roughness(self.unknowns, _KERNEL_ROUGHNESS)
         self._otfs = CodedOtfs(exposures.codes, knots)
         self._centroids = torch.tensor(
             np.array([centroid_px(kernel)[::-1] for kernel in exposures.kernels]),

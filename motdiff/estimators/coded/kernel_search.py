@@ -48,7 +48,7 @@ class KernelSearch(PhotoFit):
 
     def run(self) -> list[CandidatePath]:
         """Paths that explain the kernels, best first."""
-        terms: list[Term] = [self.sharpest, self.loose]
+        terms: list[Term] = [self.sharpest, self.kernel_roughness]
         x, costs = self.best(terms, self._starts(), steps=6, keep=_EVOLUTION.population)
         self.spend(0.25)
         x, costs = _EVOLUTION.run(
@@ -71,7 +71,7 @@ class KernelSearch(PhotoFit):
         ]
         x = self.pack(np.concatenate(starts))
         for term, keep in zip(self.coarse_kernels.values(), (48, 24, 10), strict=True):
-            x, _ = self.best([term, self.loose], x, steps=8, keep=keep)
+            x, _ = self.best([term, self.kernel_roughness], x, steps=8, keep=keep)
         return x
 
     def _decoded(self, count: int, shifts: FloatArray | None = None) -> FloatArray:
@@ -88,9 +88,9 @@ class KernelSearch(PhotoFit):
     def _changed(self, terms: Sequence[Term], x: Tensor) -> tuple[Tensor, Tensor]:
         """Children of candidates, fitted coarse to fine, and their costs."""
         new = self.pack(np.stack(self._children(x)))
-        new, _ = descend([self.coarse_kernels[2.5], self.loose], new, steps=3)
+        new, _ = descend([self.coarse_kernels[2.5], self.kernel_roughness], new, steps=3)
         new, _ = self.best(
-            [self.coarse_kernels[1.5], self.loose], new, steps=4, keep=_CHILDREN_FITTED
+            [self.coarse_kernels[1.5], self.kernel_roughness], new, steps=4, keep=_CHILDREN_FITTED
         )
         return descend(terms, new, steps=5)
 
@@ -103,7 +103,8 @@ class KernelSearch(PhotoFit):
             partners = [*paths[:i], *paths[i + 1 :]]
             if i < 2:
                 partners += list(self._decoded(12, shifts[i].numpy().astype(np.float64)))
-            changed = [loops_reordered(path, rng=self.rng) for _ in range(_REORDERED)]
+            changed = [path[::-1]]
+            changed += [loops_reordered(path, rng=self.rng) for _ in range(_REORDERED)]
             changed += [crossed(path, partner, rng=self.rng) for partner in partners]
             children += [child for child in changed if child is not None]
         return children

@@ -14,7 +14,7 @@ from motdiff.estimators.base import Estimator
 from motdiff.estimators.coded.candidates import expected_deviation_px
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
-from motdiff.estimators.coded.fit import FINEST, KNOTS, MIDDLE, NEAR, PhotoFit
+from motdiff.estimators.coded.fit import FINEST, KNOTS, LOOSE, MIDDLE, PhotoFit
 from motdiff.estimators.coded.misfit import PathQuadratic, Term, Unknowns, descend
 from motdiff.path_psfs import interpolated
 from motdiff.progress import Progress
@@ -155,9 +155,9 @@ class _RefiningFit(PhotoFit):
     def nearest(self, paths: Sequence[Trajectory]) -> list[Trajectory]:
         """Paths with the least cost after a few steps of descent."""
         x = self.registered(self.pack(np.stack([_knots(path) for path in paths])))
-        terms: list[Term] = [self.kernels(1.5), self.loose]
+        terms: list[Term] = [self.kernels(1.5), self.kernel_roughness]
         if self.has_scene:
-            terms = [self.beside_photos(MIDDLE)[0], self.sharpest, self.loose]
+            terms = [self.beside_photos(LOOSE)[0], self.sharpest, self.kernel_roughness]
         _, costs = descend(terms, x, steps=4)
         return [paths[i] for i in torch.argsort(costs)[:_MOST_ORDERS].tolist()]
 
@@ -189,7 +189,7 @@ class _RefiningFit(PhotoFit):
     def _descended(self, x: Tensor, prior: Term) -> Tensor:
         if not self.has_scene:
             return descend([self.sharpest, prior], x, steps=20)[0]
-        for stage, steps in ((MIDDLE, 6), (NEAR, 6), (FINEST, 12)):
+        for stage, steps in ((LOOSE, 6), (MIDDLE, 6), (FINEST, 12)):
             x, _ = descend([self.beside_photos(stage)[0], self.sharpest, prior], x, steps=steps)
         return x
 
@@ -198,7 +198,7 @@ class _RefiningFit(PhotoFit):
         fixed = _path_prior(
             self.unknowns, self.unknowns.paths(x)[0].numpy(), _FIXED_PX, rough_px=_FIXED_PX
         )
-        for stage in (MIDDLE, NEAR, FINEST) if self.has_scene else ():
+        for stage in (LOOSE, MIDDLE, FINEST) if self.has_scene else ():
             x, _ = descend([self.beside_photos(stage)[0], fixed], x, steps=4)
         return self.misfit(x)
 

@@ -47,7 +47,7 @@ _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
 _DRAWS = 64  # starts of a search from the kernels' light
 _LONE_WALKS = 32  # and without it
 _LONE_SWEEPS = 64
-_USUAL_PX = 50.0  # length of random motions
+_USUAL_PX = 50.0  # length of random walks, and largest extent of sweeps
 _SEARCHES_AT_ONCE = 2
 _MOST_SEARCHES = 4
 _LOOSE_STARTS: Schedule = ((LOOSE, 4, 24),)
@@ -127,11 +127,12 @@ def _scene_paths(
         x, _, times = merged(search.unknowns, results, keep=_RESULTS, same_px=SAME_PX)
         is_agreed = times > 1 and search.misfit(x[:1]) <= EXPLAINED
     spend(share * (_MOST_SEARCHES - len(results)))
-    if times == 1:  # what each of them has right may belong together
+    if is_agreed:
+        spend(0.15)
+    else:  # what each of them has right may belong together
         x, costs = search.fitted(x, ((FINEST, 2, _RESULTS),))
         x, _ = search.evolved(x, costs, rng, spend=lambda s: spend(0.15 * s))
-    else:
-        spend(0.15)
+        x = x[:_RESULTS]
     fine = PhotoFit(exposures, spectra)
     x = search.unknowns.resampled(x, KNOTS)
     searched_path = fine.paths(x)[0]

@@ -1,4 +1,4 @@
-"""Starting paths of a fit: decoded from kernels, other orders of a path, crossings of two."""
+"""Starting paths of a fit: decoded from kernels, changed, crossed, and random ones."""
 
 from __future__ import annotations
 
@@ -225,6 +225,22 @@ def bridged(path: FloatArray, walk: FloatArray, *, rng: np.random.Generator) -> 
     return _replaced(path, stretch, start)
 
 
+def random_walks(rng: np.random.Generator, knots: int, lengths_px: FloatArray) -> FloatArray:
+    """Random walks (B, K, 2) of such lengths."""
+    times = np.linspace(0, 1, knots)
+    return np.stack([boracchi_foi(rng, max_length_px=px).at(times) for px in lengths_px])
+
+
+def random_sweeps(rng: np.random.Generator, knots: int, extents_px: FloatArray) -> FloatArray:
+    """Smooth motions (B, K, 2) of such extents, cubic in time, as hands and machines make them."""
+    t = np.linspace(-1, 1, knots)
+    shares = rng.standard_normal((len(extents_px), len(_SWEEP_SHARES), 2))
+    shares *= np.array(_SWEEP_SHARES)[:, None]
+    paths = np.polynomial.legendre.legvander(t, len(_SWEEP_SHARES))[:, 1:] @ shares
+    factors = extents_px / np.ptp(paths, axis=1).max(axis=1)
+    return np.asarray(paths * factors[:, None, None])
+
+
 def _replaced(path: FloatArray, stretch: FloatArray, start: int) -> FloatArray:
     """Path with a stretch (n, 2) from index ``start``, moved so that it joins on at both ends."""
     stop = start + len(stretch) - 1
@@ -275,19 +291,3 @@ def _reversed_loop(points: FloatArray, start: int, stop: int) -> FloatArray:
     out = points.copy()
     out[start : stop + 1] = points[start : stop + 1][::-1]
     return out
-
-
-def random_walks(rng: np.random.Generator, knots: int, lengths_px: FloatArray) -> FloatArray:
-    """Random walks (B, K, 2) of such lengths."""
-    times = np.linspace(0, 1, knots)
-    return np.stack([boracchi_foi(rng, max_length_px=px).at(times) for px in lengths_px])
-
-
-def random_sweeps(rng: np.random.Generator, knots: int, extents_px: FloatArray) -> FloatArray:
-    """Smooth motions (B, K, 2) of such extents, cubic in time, as hands and machines make them."""
-    t = np.linspace(-1, 1, knots)
-    shares = rng.standard_normal((len(extents_px), len(_SWEEP_SHARES), 2))
-    shares *= np.array(_SWEEP_SHARES)[:, None]
-    paths = np.polynomial.legendre.legvander(t, len(_SWEEP_SHARES))[:, 1:] @ shares
-    factors = extents_px / np.ptp(paths, axis=1).max(axis=1)
-    return np.asarray(paths * factors[:, None, None])

@@ -202,7 +202,7 @@ class _TrailSearch:
         return x
 
     def evolved(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Paths crossed with each other, loops reversed and stretches rerouted, while it helps."""
+        """Paths crossed, their loops reordered and stretches rerouted, while it helps."""
         finest: list[Term] = [self.coarse[3], self.rough]
         x, costs = self._best(finest, x, steps=6, keep=_EVOLUTION.population)
 

@@ -50,9 +50,7 @@ def test_orders_that_an_open_shutter_cannot_tell_are_told_by_the_designed_code()
     paths = open_orders([Trajectory.from_samples(LOOP)])
     assert len(paths) >= 2
     contrast = OrderContrast(paths, [OPEN], chips=CHIPS)
-    code, least = search_next(
-        contrast, [OPEN], Limits(CHIPS, (1, CHIPS)), rng=np.random.default_rng(0)
-    )
+    code, least = search_next(contrast, Limits(CHIPS, (1, CHIPS)), rng=np.random.default_rng(0))
     opened = contrast.of([OPEN])[0]
     assert opened.max() < 1 < 1000 < least
     assert contrast.of([code]).min() == pytest.approx(least, rel=1e-3)
@@ -93,7 +91,7 @@ def test_the_search_comes_near_the_best_of_all_codes(runs):
     codes = codes[limits.satisfied(codes) & (rests <= 3)]  # log2 of 8 chips
     contrast = OrderContrast(open_orders([Trajectory.from_samples(LOOP)]), [OPEN], chips=CHIPS)
     best = contrast.of(codes).min(axis=1).max()
-    code, least = search_next(contrast, [OPEN], limits, rng=np.random.default_rng(1))
+    code, least = search_next(contrast, limits, rng=np.random.default_rng(1))
     assert limits.satisfied(code[None])[0]
     assert longest_rest([code]) <= 3
     assert 0.9 * best < least <= (1 + 1e-3) * best
@@ -102,11 +100,13 @@ def test_the_search_comes_near_the_best_of_all_codes(runs):
 def test_a_shutter_rests_no_longer_than_the_photos_before_leave_it():
     contrast = OrderContrast(open_orders([Trajectory.from_samples(LOOP)]), [np.ones(52)], chips=52)
     limits = Limits(52, (1, 52))
-    code, _ = search_next(contrast, [np.ones(52)], limits, rng=np.random.default_rng(3))
+    code, _ = search_next(contrast, limits, rng=np.random.default_rng(3))
     assert longest_rest([code]) <= 6
     fine = np.tile([1, 0], 26)  # every chip is told already: the orders alone decide
-    free, least = search_next(contrast, [np.ones(52), fine], limits, rng=np.random.default_rng(3))
-    assert contrast.of([code]).min() <= least == contrast.of([free]).min()
+    paths = open_orders([Trajectory.from_samples(LOOP)])
+    finely = OrderContrast(paths, [np.ones(52), fine], chips=52)
+    free, least = search_next(finely, limits, rng=np.random.default_rng(3))
+    assert finely.of([code]).min() <= least == finely.of([free]).min()
 
 
 def test_survivors_are_what_the_photos_leave_open():

@@ -402,3 +402,16 @@ def test_a_trajectory_of_more_samples_is_the_same_motion(noisy) -> None:
     otfs = CodedOtfs(noisy.codes, len(fine.t))
     term = KernelTerm(unknowns, otfs, noisy.psfs, sigma_px=1.5, weights=np.full(4, 200.0))
     assert float(term.cost(x)) < 5e-4 * 800
+
+
+def test_more_knots_leave_the_path_and_what_is_each_photos_own_as_they_are():
+    few = Unknowns(27, 4)
+    x = torch.randn(2, few.size, generator=torch.Generator().manual_seed(1))
+    more = few.resampled(x, KNOTS)
+    paths = UNKNOWNS.paths(more)
+    assert torch.allclose(paths[:, ::2], few.paths(x), atol=1e-6)
+    middles = 0.5 * (few.paths(x)[:, 1:] + few.paths(x)[:, :-1])
+    assert torch.allclose(paths[:, 1::2], middles, atol=1e-6)
+    assert torch.equal(UNKNOWNS.shifts(more), few.shifts(x))
+    assert torch.equal(UNKNOWNS.gains(more), few.gains(x))
+    assert torch.equal(UNKNOWNS.kernel_shifts(more), few.kernel_shifts(x))

@@ -4,7 +4,13 @@ what both share."""
 import numpy as np
 import pytest
 
-from motdiff.estimators.coded.starts import crossed, decoded_paths, loops_reordered, orders
+from motdiff.estimators.coded.starts import (
+    crossed,
+    decoded_paths,
+    loops_reordered,
+    orders,
+    random_sweeps,
+)
 from motdiff.metrics import mnc_subpixel
 from motdiff.trajectory import Trajectory
 
@@ -168,3 +174,10 @@ def test_draws_depend_on_the_generator_alone(coded_psf, gray_codes) -> None:
     ]
     np.testing.assert_array_equal(draws[0], draws[1])
     assert np.abs(draws[0] - draws[2]).max() > 0.1
+
+
+def test_sweeps_are_cubic_in_time_and_of_the_extents_asked_for() -> None:
+    extents_px = np.array([5.0, 20.0, 50.0])
+    paths = random_sweeps(np.random.default_rng(0), 27, extents_px)
+    assert np.ptp(paths, axis=1).max(axis=1) == pytest.approx(extents_px)
+    assert np.diff(paths, n=4, axis=1) == pytest.approx(0, abs=1e-9)
