@@ -25,11 +25,12 @@ _KERNEL_SHARE = 0.2  # of the time
 _FIT_SHARE = 0.8  # the search of the path
 # how often the path was right, of simulated walks and shakes
 # (docs/decisions/motion-estimation.md): of one photo; of more, where two searches ended at it and
-# where one did; each where the next path is much dearer, and where it is not
+# where one did, each by how much dearer the next path is: above the one limit, above the other, or
+# below both
 _ONE_PHOTO = 0.05
-_SHARES_AGREED = (0.97, 0.5)
-_SHARES_ALONE = (0.8, 0.15)
-_DEARER = 75.0  # of the next path's cost
+_DEARER = (75.0, 40.0)
+_SHARES_AGREED = (0.97, 0.85, 0.4)
+_SHARES_ALONE = (0.8, 0.15, 0.15)
 _ERROR_RATIO = 2.8  # of true to computed error
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _KERNELS_ALONE = 0.3
@@ -186,6 +187,6 @@ def _order_probability(misfit: float, photos: int, *, times: int, gap: float | N
         return _ONE_PHOTO
     if not np.isfinite(misfit):
         return _KERNELS_ALONE
-    is_dearer = gap is None or gap > _DEARER
-    share = (_SHARES_AGREED if times > 1 else _SHARES_ALONE)[0 if is_dearer else 1]
-    return share * explained_share(misfit)
+    shares = _SHARES_AGREED if times > 1 else _SHARES_ALONE
+    missed = sum(gap is not None and gap <= limit for limit in _DEARER)
+    return shares[missed] * explained_share(misfit)
