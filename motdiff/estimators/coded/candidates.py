@@ -24,7 +24,7 @@ UNEXPLAINED = 1.25
 SAME_PX = 1.0
 """Rms distance within which two paths count as one."""
 _MOST_PATHS = 3  # the best, and alternatives
-_MISFIT_POWER = 4.0  # so steep that a misfit of 1.65 leaves a fifth
+_MISFIT_POWER = 4.0  # so steep that a misfit of 1.5 leaves a fifth
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,9 @@ class CandidatePath:
     deviation_px: FloatArray = field(repr=False)
 
 
-def explained_share(misfit: float) -> float:
-    """Factor of a probability for a path that explains the photos less; the power is a guess."""
-    return 1.0 if np.isnan(misfit) else min(1.0, (misfit / EXPLAINED) ** -_MISFIT_POWER)
+def explained_share(misfit: float, explained: float = 1.0) -> float:
+    """Factor of a probability for a misfit above ``explained``; the power is a guess."""
+    return 1.0 if np.isnan(misfit) else min(1.0, (misfit / explained) ** -_MISFIT_POWER)
 
 
 def cost_gap(paths: Sequence[CandidatePath]) -> float | None:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.candidates import (
+    EXPLAINED,
     CandidatePath,
     cost_gap,
     explained_share,
@@ -189,4 +190,4 @@ def _order_probability(misfit: float, photos: int, *, times: int, gap: float | N
         return _KERNELS_ALONE
     shares = _SHARES_AGREED if times > 1 else _SHARES_ALONE
     missed = sum(gap is not None and gap <= limit for limit in _DEARER)
-    return shares[missed] * explained_share(misfit)
+    return shares[missed] * explained_share(misfit, EXPLAINED)

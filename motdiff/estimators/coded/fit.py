@@ -9,7 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motdiff.estimators.coded.candidates import CandidatePath, distinct, expected_deviation_px
+from motdiff.estimators.coded.candidates import (
+    SAME_PX,
+    CandidatePath,
+    distinct,
+    expected_deviation_px,
+)
 from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.misfit import (
     KernelTerm,
@@ -73,7 +78,11 @@ class PhotoFit:
     ----------
     kernel_roughness : Roughness
         Beside kernels.
+    apart_px : float
+        Candidates nearer to a better one are dropped.
     """
+
+    apart_px = SAME_PX
 
     def __init__(
         self, exposures: Exposures, spectra: Sequence[SceneSpectra], *, knots: int = KNOTS
@@ -155,7 +164,8 @@ class PhotoFit:
         self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int
     ) -> tuple[Tensor, Tensor]:
         """Candidates after some steps of descent, the best of them."""
-        return distinct(self.unknowns, *descend(terms, x, steps=steps), keep=keep)
+        x, costs = descend(terms, x, steps=steps)
+        return distinct(self.unknowns, x, costs, keep=keep, apart_px=self.apart_px)
 
     def described(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> list[CandidatePath]:
         """Candidates (B, N) with their misfit and the expected errors of their knots."""

@@ -14,7 +14,7 @@ from motdiff.estimators.coded.misfit import Term, descend
 from motdiff.estimators.coded.starts import (
     crossed,
     decoded_paths,
-    loops_reordered,
+    loop_reversals,
     orders,
     random_walks,
 )
@@ -23,14 +23,16 @@ from motdiff.types import FloatArray
 _DECODED = 64  # starting paths of each kind
 _ORDERS = 48
 _WALKS = 48
-_EVOLUTION = Evolution(rounds=6, patience=2, improved=0.98, population=8)
+_APART_PX = 0.3  # nearer candidates are one
+_EVOLUTION = Evolution(rounds=6, patience=2, improved=0.98, population=8, apart_px=_APART_PX)
 _CHILDREN_FITTED = 10
-_REORDERED = 4
 _PARENTS = 4  # of the population, crossed with all
 
 
 class KernelSearch(PhotoFit):
     """Search of a path that explains the photos' kernels."""
+
+    apart_px = _APART_PX
 
     def __init__(
         self, exposures: Exposures, rng: np.random.Generator, *, spend: Callable[[float], None]
@@ -95,7 +97,7 @@ class KernelSearch(PhotoFit):
         return descend(terms, new, steps=5)
 
     def _children(self, x: Tensor) -> list[FloatArray]:
-        """Cross the best with each other and decoded paths, and reorder their loops."""
+        """Cross the best with each other and decoded paths, and reverse loops."""
         shifts = self.unknowns.kernel_shifts(x)
         paths = self.paths(x) + shifts[:, :1].numpy()  # all aligned with the first kernel
         children = []
@@ -103,8 +105,7 @@ class KernelSearch(PhotoFit):
             partners = [*paths[:i], *paths[i + 1 :]]
             if i < 2:
                 partners += list(self._decoded(12, shifts[i].numpy().astype(np.float64)))
-            changed = [path[::-1]]
-            changed += [loops_reordered(path, rng=self.rng) for _ in range(_REORDERED)]
-            changed += [crossed(path, partner, rng=self.rng) for partner in partners]
-            children += [child for child in changed if child is not None]
+            children += loop_reversals(path, count=4 if i < 2 else 2, rng=self.rng)
+            crossings = (crossed(path, partner, rng=self.rng) for partner in partners)
+            children += [child for child in crossings if child is not None]
         return children

@@ -154,6 +154,15 @@ def orders(path: Trajectory, *, knots: int, count: int) -> FloatArray:
     return np.stack(paths)[:count]
 
 
+def loop_reversals(
+    points: FloatArray, *, count: int, rng: np.random.Generator
+) -> list[FloatArray]:
+    """Paths (K, 2) with one loop of ``points`` reversed; the path reversed if it has none."""
+    loops = _meetings(points, Trajectory.from_samples(points))
+    paths = [_reversed_loop(points, start, stop) for start, stop in loops] or [points[::-1]]
+    return [paths[i] for i in rng.permutation(len(paths))[:count]]
+
+
 def loops_reordered(points: FloatArray, *, rng: np.random.Generator) -> FloatArray | None:
     """Path (K, 2) whose loops at one of its points come in another order; None without loops.
 

@@ -21,7 +21,7 @@ from motdiff.estimators.coded.candidates import (
 )
 from motdiff.estimators.coded.codes import middles, open_at
 from motdiff.estimators.coded.misfit import Roughness, Term, descend
-from motdiff.estimators.coded.starts import bridged, crossed, loops_reordered, orders
+from motdiff.estimators.coded.starts import bridged, crossed, loop_reversals, orders
 from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns
 from motdiff.motions import boracchi_foi
 from motdiff.path_psfs import interpolated
@@ -39,7 +39,6 @@ _SAME_PX = 0.3  # nearer paths are one: trails tell a path to a fraction of a pi
 _EVOLUTION = Evolution(rounds=40, patience=6, improved=0.98, population=12, apart_px=_SAME_PX)
 _PARENTS = 6  # crossed with each other
 _NEWCOMERS = 8  # walks of each round, against inbreeding
-_REORDERED = 5
 _REROUTED = 5  # children of a parent with a stretch drawn anew
 _SEARCHES = 5
 _RESULTS = 4
@@ -202,7 +201,7 @@ class _TrailSearch:
         return x
 
     def evolved(self, x: Tensor) -> tuple[Tensor, Tensor]:
-        """Paths crossed, their loops reordered and stretches rerouted, while it helps."""
+        """Paths crossed, their loops reversed and stretches rerouted, while it helps."""
         finest: list[Term] = [self.coarse[3], self.rough]
         x, costs = self._best(finest, x, steps=6, keep=_EVOLUTION.population)
 
@@ -281,10 +280,10 @@ class _TrailSearch:
         paths = self.unknowns.paths(x).numpy().astype(np.float64)
         children = [self._walk() for _ in range(_NEWCOMERS)]
         for i, path in enumerate(paths[:_PARENTS]):
+            children += loop_reversals(path, count=5, rng=self.rng)
             partners = (*paths[:i], *paths[i + 1 :])
-            changed = [loops_reordered(path, rng=self.rng) for _ in range(_REORDERED)]
-            changed += [crossed(path, partner, rng=self.rng) for partner in partners]
-            children += [child for child in changed if child is not None]
+            crossings = (crossed(path, partner, rng=self.rng) for partner in partners)
+            children += [child for child in crossings if child is not None]
             children += [self._slipped(path), path[::-1]]
             children += [bridged(path, self._walk(), rng=self.rng) for _ in range(_REROUTED)]
         return children

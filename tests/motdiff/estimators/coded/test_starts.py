@@ -7,6 +7,7 @@ import pytest
 from motdiff.estimators.coded.starts import (
     crossed,
     decoded_paths,
+    loop_reversals,
     loops_reordered,
     orders,
     random_sweeps,
@@ -71,6 +72,29 @@ def clover(leaves: int, knots: int) -> np.ndarray:
         turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
         loops.append((12 + 3 * leaf) * rise @ turn)
     return np.concatenate([*loops, [[0.0, 0.0]]])
+
+
+def test_loop_reversals_turn_one_loop_round() -> None:
+    points = curls(3, samples=401)
+    rng = np.random.default_rng(0)
+    found = loop_reversals(points, count=9, rng=rng)
+    assert len(found) == 2
+    psf = Trajectory.from_samples(points).psf()
+    for turned in found:
+        assert turned.shape == points.shape
+        assert apart_px(turned, points) > 3
+        np.testing.assert_allclose(turned[[0, -1]], points[[0, -1]])
+        np.testing.assert_allclose(
+            np.sort(turned, axis=0), np.sort(points, axis=0)
+        )  # the same places
+        assert mnc_subpixel(Trajectory.from_samples(turned).psf(), psf) > 0.99
+    assert len(loop_reversals(points, count=1, rng=rng)) == 1
+
+
+def test_where_there_is_no_loop_the_whole_is_reversed() -> None:
+    line = np.linspace((0, 0), (20, 5), KNOTS)
+    (turned,) = loop_reversals(line, count=4, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(turned, line[::-1])
 
 
 def test_loops_at_one_place_come_in_any_order_and_direction() -> None:
