@@ -139,8 +139,9 @@ class PhotoFit:
         gains = torch.tensor(np.tile(self.exposures.gains, (len(paths), 1)), dtype=torch.float32)
         return self.unknowns.pack(centred, gains, shifts)
 
-    def registered(self, x: Tensor) -> Tensor:
-        """Candidates with the photos' shifts by correlation, where these are of one scene."""
+    def registered(self, paths: FloatArray) -> Tensor:
+        """Candidates of paths, photos of one scene shifted as their correlation says."""
+        x = self.pack(paths)
         return self.beside_photos(MIDDLE)[0].registered(x) if self.has_scene else x
 
     def misfit(self, x: Tensor) -> float:

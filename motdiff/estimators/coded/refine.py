@@ -154,7 +154,7 @@ class _RefiningFit(PhotoFit):
 
     def nearest(self, paths: Sequence[Trajectory]) -> list[Trajectory]:
         """Paths with the least cost after a few steps of descent."""
-        x = self.registered(self.pack(np.stack([_knots(path) for path in paths])))
+        x = self.registered(np.stack([_knots(path) for path in paths]))
         terms: list[Term] = [self.kernels(1.5), self.kernel_roughness]
         if self.has_scene:
             terms = [self.beside_photos(LOOSE)[0], self.sharpest, self.kernel_roughness]
@@ -169,7 +169,7 @@ class _RefiningFit(PhotoFit):
         prior = _path_prior(self.unknowns, start, deviation_px)
         scene = self.beside_photos(FINEST)[0] if self.has_scene else None
         terms: list[Term] = [self.sharpest, prior, *([scene] if scene else [])]
-        x0 = self.registered(self.pack(start[None]))
+        x0 = self.registered(start[None])
         given_misfit = self._misfit_of_given(x0)
         for deviation_factor in _DEVIATION_FACTORS:
             x = self._descended(

@@ -158,7 +158,7 @@ class SceneTerm:
     ) -> None:
         self._unknowns = unknowns
         self._otfs = otfs
-        self.spectra = spectra
+        self._spectra = spectra
         self._open = torch.tensor(otfs.open_share, dtype=torch.float32)
         self._pairs = list(combinations(range(unknowns.exposures), 2))
         self._window_rms = float(spectra.window.square().mean().sqrt())
@@ -186,12 +186,12 @@ class SceneTerm:
 
     def _cost(self, x: Tensor) -> Tensor:
         H = self._on_grid(x).H * self._light(x)[..., None, None]
-        squares = _power(self.spectra.windowed(self._products(H))).sum(1)
+        squares = _power(self._spectra.windowed(self._products(H))).sum(1)
         return (squares * self._weight(H)).sum((1, 2))
 
     def _on_grid(self, x: Tensor) -> GridOtfs:
         un = self._unknowns
-        return self._otfs.on_grid(un.paths(x), un.shifts(x), self.spectra.fy, self.spectra.fx)
+        return self._otfs.on_grid(un.paths(x), un.shifts(x), self._spectra.fy, self._spectra.fx)
 
     def _light(self, x: Tensor) -> Tensor:
         """Factors (B, I) of the OTFs, which are 1 at zero frequency."""
@@ -199,12 +199,12 @@ class SceneTerm:
 
     def _products(self, H: Tensor) -> Tensor:
         """``B_a H_b - B_b H_a`` (B, pairs, R, C) of OTFs (B, I, R, C)."""
-        B = self.spectra.photos
+        B = self._spectra.photos
         return torch.stack([B[a] * H[:, b] - B[b] * H[:, a] for a, b in self._pairs], 1)
 
     def _weight(self, H: Tensor) -> Tensor:
         """Inverse variance (B, R, C) of the products; 0 outside the mask."""
-        return self.spectra.mask / ((_power(H).sum(1) + _LEAST_LIGHT) * self._variance)
+        return self._spectra.mask / ((_power(H).sum(1) + _LEAST_LIGHT) * self._variance)
 
     def add_normal(self, x: Tensor, JJ: Tensor, Jr: Tensor) -> None:
         """See :class:`motdiff.estimators.coded.misfit.Term`.
@@ -219,15 +219,15 @@ class SceneTerm:
 
     def _add_normal(self, x: Tensor, JJ: Tensor, Jr: Tensor) -> None:
         un = self._unknowns
-        B = self.spectra.photos
+        B = self._spectra.photos
         light = self._light(x)[..., None, None]
         grid = self._on_grid(x)
         H = grid.H * light
-        r = self.spectra.windowed(self._products(H))
+        r = self._spectra.windowed(self._products(H))
         weight = self._weight(H)
         # the window's transpose is applied to the residual, instead of the window to J
         weighted = r * (weight / self._stands_for)[:, None]
-        back = self.spectra.windowed(weighted) * self._stands_for
+        back = self._spectra.windowed(weighted) * self._stands_for
         # the weight, too, depends on the path: without this the noise would pull it off
         by_power = _power(r).sum(1) * weight**2 * self._variance
         by_H = -by_power[:, None] * H
@@ -243,7 +243,7 @@ class SceneTerm:
     def _add_curvature(self, x: Tensor, residual: Tensor, JJ: Tensor) -> None:
         """Add ``J^T J``; the residual (B, pairs, F) is that of the sample's frequencies."""
         un = self._unknowns
-        B = self.spectra.photos.flatten(1)[:, self._sample]
+        B = self._spectra.photos.flatten(1)[:, self._sample]
         phase = 2 * pi * self._sample_f.T
         end = 2 * un.knots
         size = un.kernel_shift(0)
@@ -277,8 +277,8 @@ class SceneTerm:
     def registered(self, x: Tensor) -> Tensor:
         """Candidates with the photos' shifts by correlation."""
         un = self._unknowns
-        B = self.spectra.photos
-        step_px = self.spectra.side_px / self.spectra.grid
+        B = self._spectra.photos
+        step_px = self._spectra.side_px / self._spectra.grid
         x = x.clone()
         x[:, un.shift(1) : un.gain(1)] = 0
         H = torch.cat([self._on_grid(chunk).H for chunk in torch.split(x, _AT_ONCE)])
@@ -286,7 +286,7 @@ class SceneTerm:
             cross = B[photo] * H[:, 0] * (B[0] * H[:, photo]).conj()
             cross = cross / ((H[:, 0] * H[:, photo]).abs() + _LEAST_PRODUCT)
             at = un.shift(photo)
-            for row, image in zip(x, self.spectra.images(cross).numpy(), strict=True):
+            for row, image in zip(x, self._spectra.images(cross).numpy(), strict=True):
                 dy, dx = _peak(image)
                 row[at] = dx * step_px
                 row[at + 1] = dy * step_px

@@ -159,8 +159,8 @@ class _SceneSearch(PhotoFit):
         """Candidates and costs, best first, from draws and random motions."""
         walks = self._walks(rng, _LONE_WALKS)
         sweeps = random_sweeps(rng, self.knots, _USUAL_PX * rng.uniform(0.1, 1.0, _LONE_SWEEPS))
-        random = self._packed(np.concatenate([walks, sweeps]))
-        from_light = self._packed(self.measure.draw(_DRAWS, knots=self.knots, rng=rng))
+        random = self.registered(np.concatenate([walks, sweeps]))
+        from_light = self.registered(self.measure.draw(_DRAWS, knots=self.knots, rng=rng))
         loose, _ = self.fitted(torch.cat([from_light, random]), _LOOSE_STARTS)
         stiff, _ = self.fitted(random, _STIFF_STARTS)
         x, costs = self.fitted(torch.cat([loose, stiff, from_light]), _STARTS)
@@ -180,12 +180,9 @@ class _SceneSearch(PhotoFit):
 
         def changed(parents: Tensor) -> tuple[Tensor, Tensor]:
             children = self._children(self.paths(parents), rng)
-            return self.fitted(self._packed(children), next(schedules))
+            return self.fitted(self.registered(children), next(schedules))
 
         return _EVOLUTION.run(self.unknowns, x, costs, changed=changed, spend=spend)
-
-    def _packed(self, paths: FloatArray) -> Tensor:
-        return self.registered(self.pack(paths))
 
     def _children(self, paths: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Change parents drawn from (N, K, 2), the first likelier.

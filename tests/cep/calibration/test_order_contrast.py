@@ -102,7 +102,7 @@ def test_a_shutter_rests_no_longer_than_the_photos_before_leave_it():
     limits = Limits(52, (1, 52))
     code, _ = search_next(contrast, limits, rng=np.random.default_rng(3))
     assert longest_rest([code]) <= 6
-    fine = np.tile([1, 0], 26)  # every chip is told already: the orders alone decide
+    fine = np.tile([1, 0], 26)  # it switches at every chip, so the next code may rest
     paths = open_orders([Trajectory.from_samples(LOOP)])
     finely = OrderContrast(paths, [np.ones(52), fine], chips=52)
     free, least = search_next(finely, limits, rng=np.random.default_rng(3))
