@@ -11,8 +11,8 @@ import typer
 
 from cep.commands.console import Page, Table, finish, print_page, progress
 from cep.commands.emulate import emulate
+from cep.commands.hardware_options import Driver, Port, named_port, open_controller
 from cep.commands.options import Json, command, flag, option
-from cep.commands.programs import Driver, Port, named_port, open_controller
 from cep.commands.timing import timing
 from cep.commands.verify import verify
 

@@ -11,18 +11,20 @@ import typer
 
 from cep.commands import (
     advise,
+    audit,
     calibrate,
     calibration_set,
     camera,
-    code,
     controller,
     deblur,
     demo,
-    hardware,
+    export,
+    mtf,
     optimize,
     shoot,
     simulate,
     studio,
+    upload,
 )
 from cep.commands.commands import Command, Group
 from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, announce, explain, warn
@@ -117,12 +119,12 @@ app.command("calibrate")(calibrate.calibrate)
 app.command("calibration-set")(calibration_set.calibration_set)
 app.command("advise")(advise.advise)
 app.command("optimize")(optimize.optimize)
-app.command("audit")(code.audit)
-app.command("mtf")(code.mtf)
+app.command("audit")(audit.audit)
+app.command("mtf")(mtf.mtf)
 app.command("simulate")(simulate.simulate)
 app.command("deblur")(deblur.deblur)
-app.command("export")(hardware.export)
-app.command("upload")(hardware.upload)
+app.command("export")(export.export)
+app.command("upload")(upload.upload)
 app.command("shoot")(shoot.shoot)
 app.add_typer(camera.camera, name="camera", cls=Group)
 app.add_typer(controller.hw, name="hw", cls=Group)

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from cep.optics.camera import Camera
     from cep.optics.scene import Scene
     from cep.photographs.scene_photo import ScenePhoto
+    from cep.proofs.measure import FigureOfMerit
+    from motdiff.files.outputs import Outputs
     from motdiff.files.trajectories import StoredMotion
     from motdiff.trajectory import Trajectory
     from motdiff.types import FloatArray
@@ -375,3 +377,28 @@ def table_files(table: Path | None) -> list[Path]:
     except ValueError as error:
         raise ValueError(f"--table: {error}") from None
     return [table]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FigureOptions(MotionOptions, CommonOptions):
+    """Options of a command that measures codes along a motion."""
+
+    figure: list[str] | None = option(
+        "--figure",
+        "MODULE:NAME",
+        "Also a figure of merit of your own: a function of (trajectory, code) that returns a"
+        " number; may be repeated.",
+    )
+    tables: TableFile = None
+
+    def find_figures(self) -> dict[str, FigureOfMerit]:
+        """Return the figures of merit of ``--figure``."""
+        from cep.proofs.measure import find_figures
+
+        return find_figures(self.figure or ())
+
+    def outputs(self, output: Path | None) -> Outputs:
+        """Return the files that are written: the output, where there is one, and the tables'."""
+        from motdiff.files.outputs import Outputs
+
+        return Outputs(tuple(filter(None, [output, *table_files(self.tables)])), self.force)

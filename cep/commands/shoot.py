@@ -279,7 +279,7 @@ def _arm(options: ShootOptions, count: str) -> None:
 
 def _wiring(options: ShootOptions) -> None:
     """Say which pin goes where, and draw it."""
-    from cep.commands.programs import open_controller
+    from cep.commands.hardware_options import open_controller
     from cep.plots.canvas import check_figure_name, save
     from cep.plots.wiring import wiring_figure
     from cep.shutter.wiring import wiring, wiring_lines

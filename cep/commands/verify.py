@@ -9,6 +9,7 @@ from pathlib import Path
 import typer
 
 from cep.commands.console import FAILURE, Table, announce, finish
+from cep.commands.hardware_options import ClockPpm, TimedCode, open_controller, program_figures
 from cep.commands.options import (
     Force,
     Json,
@@ -19,7 +20,6 @@ from cep.commands.options import (
     output_option,
     table_files,
 )
-from cep.commands.programs import ClockPpm, TimedCode, open_controller, program_figures
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from cep.commands import hardware
+from cep.commands import export
 from cep.commands.commands import Command
 from cep.studio import catalogue
 from hw.export import EXPORTERS, export_program
@@ -53,7 +53,7 @@ def morse():
 def help_of_export():
     """Print the help of a command line that is made now."""
     app = typer.Typer()
-    app.command(cls=Command)(importlib.reload(hardware).export)
+    app.command(cls=Command)(importlib.reload(export).export)
     return CliRunner().invoke(app, ["--help"]).output
 
 
@@ -68,7 +68,7 @@ def test_a_new_format_is_in_every_list(morse):
 
 
 def test_the_page_lists_the_formats_there_are():
-    importlib.reload(hardware)
+    importlib.reload(export)
     page = (ROOT / "docs" / "hardware.md").read_text()
     assert documentation().with_table(page) == page, (
         "run python docs/_extensions/export_formats.py"

@@ -1,4 +1,4 @@
-"""Options and helpers of the hardware commands: the port, and a code as a timed program."""
+"""Options of the commands that play codes: the port, and a code as a timed program."""
 
 from __future__ import annotations
 

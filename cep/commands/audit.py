@@ -1,4 +1,4 @@
-"""``cep audit`` and ``cep mtf``: figures of codes along a motion."""
+"""``cep audit``: figures of a code along a motion, and the proof of its minimum."""
 
 from __future__ import annotations
 
@@ -12,52 +12,20 @@ from cep.commands.options import (
     CameraOptions,
     ChipNs,
     CodeSource,
-    CommonOptions,
-    MotionOptions,
-    TableFile,
+    FigureOptions,
     command,
     option,
     output_option,
-    table_files,
 )
 
 if TYPE_CHECKING:
     from cep.files.code_files import StoredCode
-    from cep.optics.code import ShutterCode
-    from cep.plots.codes import MtfRow
     from cep.proofs.audit import Audit
-    from cep.proofs.measure import FigureOfMerit
     from cep.proofs.verify import Verdict
-    from motdiff.files.outputs import Outputs
 
 _LISTED_ZEROS = 12  # for people; --json has all
 _NO_ADVICE = {"verdict": None, "choice": None, "gains_db": None}  # where no motion is named
 _INVERSE = ("noise_gain_db", "dnf_db")  # infinite for a code with a zero
-
-
-@dataclass(frozen=True, kw_only=True)
-class FigureOptions(MotionOptions, CommonOptions):
-    """Options of a command that measures codes along a motion."""
-
-    figure: list[str] | None = option(
-        "--figure",
-        "MODULE:NAME",
-        "Also a figure of merit of your own: a function of (trajectory, code) that returns a"
-        " number; may be repeated.",
-    )
-    tables: TableFile = None
-
-    def find_figures(self) -> dict[str, FigureOfMerit]:
-        """Return the figures of merit of ``--figure``."""
-        from cep.proofs.measure import find_figures
-
-        return find_figures(self.figure or ())
-
-    def outputs(self, output: Path | None) -> Outputs:
-        """Return the files that are written: the output, where there is one, and the tables'."""
-        from motdiff.files.outputs import Outputs
-
-        return Outputs(tuple(filter(None, [output, *table_files(self.tables)])), self.force)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -170,7 +138,7 @@ def audit(options: AuditOptions) -> None:
 
     finish(
         result,
-        _audit_page(measured, verified, advice["verdict"]),
+        _page(measured, verified, advice["verdict"]),
         as_json=options.as_json,
         tables=options.tables,
         outputs=outputs,
@@ -205,7 +173,7 @@ def _covers(certificate: Mapping[str, Any], directions: tuple[str, ...]) -> bool
     )
 
 
-def _audit_page(measured: Audit, verified: Verdict | None, sentence: str | None) -> Page:
+def _page(measured: Audit, verified: Verdict | None, sentence: str | None) -> Page:
     """Lay an audit out for people, along a motion with the advice's sentence first."""
     from cep.proofs.measure import figure_head, figure_in_words
 
@@ -266,69 +234,3 @@ def _in_words(verified: Verdict | None) -> str:
     if verified.holds:
         return "; the file's certificate is confirmed"
     return f"; the file's certificate is refused: {verified.reasons[-1]}"
-
-
-@dataclass(frozen=True, kw_only=True)
-class MtfOptions(FigureOptions):
-    """Options of ``cep mtf``."""
-
-    codes: list[str] | None = option(
-        "--code", "CODE", "Code to draw: bits, code.json or a name; may be repeated."
-    )
-    output: Path = output_option("Figure to write: .png, .pdf or .svg.", Path("mtf.png"))
-
-
-@command(MtfOptions)
-def mtf(options: MtfOptions) -> None:
-    """Draw the MTFs of codes along a motion, in one and two dimensions, beside the open shutter's.
-
-    Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
-    """
-    from cep.codes.sources import code_label, load_code
-    from cep.plots import check_figure_name, mtf_figure, save
-    from cep.plots.codes import OPEN, compare_mtfs
-
-    check_figure_name(options.output)
-    motion = options.load_motion().trajectory
-    figures = options.find_figures()
-    codes: dict[str, ShutterCode] = {}
-    for source in options.codes or []:
-        label = code_label(source)
-        while label in (OPEN, *codes):  # files in two folders may have one name
-            label += "'"
-        codes[label] = load_code(source)
-    outputs = options.outputs(options.output)
-    with progress("drawing"):
-        curves = compare_mtfs(motion, codes, figures=figures, on_checked=outputs.check)
-    finish(
-        {
-            "image": options.output,
-            "curves": {name: row.to_dict() for name, row in curves.items()},
-            "seed": options.seed,
-        },
-        [_mtf_table(curves, options.output)],
-        as_json=options.as_json,
-        outputs=outputs,
-        save=lambda temporary: save(
-            mtf_figure(motion, {name: row.code for name, row in curves.items()}),
-            temporary[options.output],
-        ),
-        tables=options.tables,
-    )
-
-
-def _mtf_table(curves: Mapping[str, MtfRow], output: Path) -> Table:
-    from cep.plots.codes import OPEN
-    from cep.proofs.measure import figure_head, figure_in_words
-
-    heads = (figure_head(*item) for item in curves[OPEN].figures.items())
-    rows = [
-        (
-            name,
-            *(row.metrics.in_words(figure) for figure in ("min_mtf", "noise_gain_db", "mse_db")),
-            *map(figure_in_words, row.figures.values()),
-        )
-        for name, row in curves.items()
-    ]
-    columns = ("code", "min MTF", "noise gain, dB", "MSE, dB", *heads)
-    return Table(str(output), columns, rows)
