@@ -11,10 +11,10 @@ import numpy as np
 import cep
 from cep.files.code_files import StoredCode, read_code, stored_device
 from cep.files.formatting import seconds_of
-from cep.studio.catalogue import shutter_name
 from cep.studio.fields import FieldError, nameless
 from cep.studio.state import described_paths, read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
+from hw.device import load_profile, profile_names
 from motdiff.files.json_files import fault, json_text, load_schema, read_versioned, stated_schema
 from motdiff.files.outputs import claim_folder, new_folder, write_text
 from motdiff.files.trajectories import read_motion, stated_uncertainty_px
@@ -132,7 +132,7 @@ def _opened_code(stored: StoredCode) -> dict[str, Any]:
     profile = stored_device(stored, source="the file")
     if profile is None:
         return fields
-    name = shutter_name(profile)
+    name = next((name for name in profile_names() if load_profile(name) == profile), None)
     if name is not None:
         return {**fields, "device": name}
     warning = (

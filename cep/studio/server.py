@@ -24,7 +24,6 @@ from threadpoolctl import threadpool_limits
 from cep.files.raw_files import RAW_SUFFIXES
 from cep.optics.camera import Camera
 from cep.shutter.release import Release
-from cep.studio import catalogue
 from cep.studio.documents import opened_document, opened_gyro
 from cep.studio.fields import FieldError, is_text, read_choice
 from cep.studio.jobs import BusyError, Job, Jobs
@@ -35,8 +34,8 @@ from cep.studio.state import Setting, read_codes, read_search, read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views, start_view
 from cep.studio.work import KINDS
+from hw.port import list_ports
 from motdiff.estimators.registry import blind_methods
-from motdiff.files.json_files import plain
 
 _STATIC = {file.name: file for file in (resources.files("cep.studio") / "static").iterdir()}
 _TYPES = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
@@ -157,7 +156,7 @@ class _Studio:
 
     async def _port(self, port: object, field: str) -> str:
         """Check the port of a controller: one of this computer's, or the emulated one."""
-        ports = [choice.name for choice in await self.quickly(catalogue.ports)]
+        ports = [info.port for info in await self.quickly(list_ports)]
         if not isinstance(port, str) or port not in ["emulated", *ports]:
             raise FieldError(field, "choose a port of the list")
         return port
@@ -179,7 +178,10 @@ class _Studio:
         return JSONResponse(await self.quickly(start_view))
 
     async def ports(self, _: Request) -> Response:
-        return JSONResponse({"ports": plain(await self.quickly(catalogue.ports))})
+        ports = await self.quickly(list_ports)
+        return JSONResponse(
+            {"ports": [{"name": info.port, "about": info.description} for info in ports]}
+        )
 
     async def events(self, request: Request) -> Response:
         return _News(self.jobs, _page(request.query_params.get("page")))

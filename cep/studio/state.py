@@ -17,7 +17,8 @@ import numpy as np
 
 import cep
 from cep.files.formatting import option_words, seconds_of
-from cep.studio.catalogue import camera_names, example_motion, load_profile, profile_names
+from cep.optics.camera import camera_names
+from cep.studio.examples import example_motion
 from cep.studio.fields import (
     LIMITS,
     MOST_CHIPS,
@@ -29,6 +30,7 @@ from cep.studio.fields import (
     read_number,
     read_whole,
 )
+from hw.device import load_profile, profile_names
 
 _MOST_SAMPLES = 512  # of a path in the address
 _KEPT_SAMPLES = 160  # to which the page thins one

@@ -20,12 +20,15 @@ from cep.files.images import encode_image
 from cep.optics.camera import camera_names
 from cep.plots.advice import EXPOSURE_NAMES
 from cep.report.scene import bundled_picture
+from cep.shutter.cameras import CAMERAS
 from cep.shutter.play import on_ticks
-from cep.studio import catalogue
+from cep.studio.examples import EXAMPLES
 from cep.studio.fields import FieldError
 from cep.studio.live import LiveBench, LiveScene, broken_limits
 from cep.studio.state import Setting, path_fields, read_search, read_state
-from hw.export import export_program, find_exporter
+from hw.cameras import camera_class
+from hw.device import load_profile, profile_names
+from hw.export import EXPORTERS, export_program, find_exporter
 from hw.program import Program
 from motdiff.files.json_files import plain
 from motdiff.types import FloatArray
@@ -182,8 +185,8 @@ class Views:
 
     def exported(self, setting: Setting, file_format: object) -> dict[str, Any]:
         """Return the code as a timed program: name and text of the file, and its warnings."""
-        if file_format not in (names := [choice.name for choice in catalogue.formats()]):
-            raise FieldError("format", f"must be one of {', '.join(names)}")
+        if file_format not in [*EXPORTERS]:  # it may be no text
+            raise FieldError("format", f"must be one of {', '.join(EXPORTERS)}")
         code, profile = setting.code(), setting.profile
         exporter = find_exporter(str(file_format))
         try:
@@ -277,6 +280,7 @@ class Views:
 def start_view() -> dict[str, Any]:
     """Return what can be chosen: cameras, shutters, published codes, example motions, formats."""
     cameras = {name: cep.Camera.load(name) for name in camera_names()}
+    profiles = {name: load_profile(name) for name in profile_names()}
     return _plain(
         {
             "version": cep.__version__,
@@ -290,13 +294,18 @@ def start_view() -> dict[str, Any]:
                 }
                 for name, camera in cameras.items()
             ],
-            "devices": catalogue.devices(),
-            "formats": catalogue.formats(),
-            "kinds": catalogue.camera_kinds(),
-            "examples": catalogue.example_motions(),
+            "devices": _choices({name: profile.description for name, profile in profiles.items()}),
+            "formats": _choices({name: exporter.summary for name, exporter in EXPORTERS.items()}),
+            "kinds": _choices({kind: camera_class(kind, CAMERAS).summary for kind in CAMERAS}),
+            "examples": _choices(EXAMPLES),
             "published": [{"name": name, "bits": cep.load_code(name).bits} for name in names()],
         }
     )
+
+
+def _choices(lines: Mapping[str, str]) -> list[dict[str, str]]:
+    """List choices by their names, as options take them, each with a line about it."""
+    return [{"name": name, "about": about} for name, about in lines.items()]
 
 
 @cache

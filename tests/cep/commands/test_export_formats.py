@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from cep.commands import export
 from cep.commands.commands import Command
-from cep.studio import catalogue
+from cep.studio.views import start_view
 from hw.export import EXPORTERS, export_program
 from hw.export.base import GENERIC, Exporter
 from hw.program import Program
@@ -59,7 +59,7 @@ def help_of_export():
 
 def test_a_new_format_is_in_every_list(morse):
     assert "morse: dots and dashes" in help_of_export()
-    assert catalogue.formats()[-1] == catalogue.Choice("morse", morse.summary)
+    assert start_view()["formats"][-1] == {"name": "morse", "about": morse.summary}
     page = documentation().with_table((ROOT / "docs" / "hardware.md").read_text())
     assert "| `morse` | dots and dashes, for lamps | a lamp | 1000 ns | ITU-R M.1677-1 |" in page
     assert export_program(Program("101", 1000), "morse") == "-... -.-"
