@@ -20,7 +20,7 @@ from hw.export import export_program
 from hw.program import Program
 from lab.bench.table_io import Provenance, made_json, tables_json
 from lab.bench.tables import Column, tabulate
-from lab.fronts.run import pareto
+from lab.fronts.comparison import pareto
 from motdiff.files.json_files import fault, json_text, load_schema
 from motdiff.files.trajectories import StoredMotion, read_motion, write_motion
 from motdiff.trajectory import Trajectory

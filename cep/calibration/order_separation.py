@@ -12,7 +12,6 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 ComplexArray = NDArray[np.complex64]
-IntArray = NDArray[np.intp]
 
 BAND_CY_PX = 0.1
 """Highest frequency compared, cycles/px: a blind search finds kernels to about 1 px."""

@@ -13,7 +13,7 @@ from cep.files.images import PICTURE_SUFFIXES
 from cep.files.psf_files import PSF_SUFFIXES
 from cep.report.page import DEMO_SCHEMA
 from lab.bench.table_io import TABLES_SCHEMA
-from lab.fronts.run import FRONT_SCHEMA
+from lab.fronts.comparison import FRONT_SCHEMA
 from motdiff.files.trajectories import SCHEMA as MOTION_SCHEMA
 
 _FIGURED = (TABLES_SCHEMA, FRONT_SCHEMA)

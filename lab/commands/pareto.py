@@ -20,7 +20,7 @@ from cep.commands.options import (
 )
 
 if TYPE_CHECKING:
-    from lab.fronts.run import FrontComparison
+    from lab.fronts.comparison import FrontComparison
 
 
 _FIGURES = (".png", ".pdf", ".svg")
@@ -75,7 +75,7 @@ def pareto(options: ParetoOptions) -> None:
     Example: python -m lab pareto --chips 52 --open 22:40 --time 60 -o front.json --plot front.png
     """
     with progress("searching") as tick:
-        from lab.fronts.run import pareto as find_front
+        from lab.fronts.comparison import pareto as find_front
         from motdiff.files.outputs import Outputs
         from motdiff.files.trajectories import stated_uncertainty_px
 

@@ -46,7 +46,7 @@ def pareto_figure(
     front : Front
         With at least one point.
     published : mapping of name to FrontPoint, optional
-        Codes to compare with, measured by :func:`lab.fronts.pareto.front_points`.
+        Codes to compare with, measured by :func:`lab.fronts.search.front_points`.
     title : str
 
     Raises

@@ -29,8 +29,8 @@ import numpy as np
 import torch
 
 from lab.bench.blind.cases import make_case
+from lab.bench.blind.plan import blind_plan
 from lab.bench.blind.protocol import Protocol
-from lab.bench.blind.run import blind_plan
 from lab.bench.statistics import mean_interval
 from lab.evaluation.draws import measure_draws
 from lab.evaluation.sets import levin_photo

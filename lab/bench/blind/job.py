@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from lab.bench.blind.cells import CEILINGS
 from lab.bench.blind.methods import UNUSUAL, label_of, select_methods
+from lab.bench.blind.plan import Plan, blind_plan, one_cell_each
 from lab.bench.blind.protocol import Protocol
 from lab.bench.blind.report import CELLS, blind_report, blind_tables, speed_tables
-from lab.bench.blind.run import Plan, blind_plan, one_cell_each
-from lab.bench.blind.work import CEILINGS
 from lab.bench.harness import Job, Progress, Report, Request, file_names, outcome_warnings
 from lab.bench.table_io import Provenance
 from lab.jobs.engine import Outcome

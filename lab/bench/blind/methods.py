@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
-from lab.bench.blind.work import CEILINGS, FLOORS
+from lab.bench.blind.cells import CEILINGS, FLOORS
 from lab.evaluation.methods import METHODS, RIVALS, named_estimators, split_weights
 from lab.jobs.fingerprint import source_version
 from motdiff.files.plugins import is_reference
@@ -31,7 +31,7 @@ _WEIGHTS = {
 _CORRECTED = ("motdiff", *(name for name, rival in RIVALS.items() if rival.is_corrected))
 
 _TAKING = (
-    "lab.bench.blind.work",
+    "lab.bench.blind.cells",
     "lab.bench.psf_text",
     "lab.bench.blind.cases",
     "lab.bench.datasets",  # the crop

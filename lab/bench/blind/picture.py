@@ -13,7 +13,7 @@ import numpy as np
 from cep.files.foreign_text import plot_text
 from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, new_figure, show_photo
 from lab.bench.blind.cases import RealPhoto, make_case, real_pair
-from lab.bench.blind.work import measure_levin, measure_simulated
+from lab.bench.blind.cells import measure_levin, measure_simulated
 from lab.bench.inset import show_inset
 from lab.bench.psf_text import psf_from_text
 from lab.evaluation.measure import restored

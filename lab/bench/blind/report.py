@@ -9,10 +9,10 @@ import numpy as np
 
 from cep.files.foreign_text import markdown_text
 from cep.files.tables import csv_lines
+from lab.bench.blind.cells import CEILINGS
 from lab.bench.blind.methods import OURS
 from lab.bench.blind.picture import blind_figure, shown
-from lab.bench.blind.run import Plan
-from lab.bench.blind.work import CEILINGS
+from lab.bench.blind.plan import Plan
 from lab.bench.harness import Report, in_code_span, report_of_means, warning_lines
 from lab.bench.table_io import Provenance, means_in_words, number_text
 from lab.bench.tables import Column, Table, differences, tabulate, unranked

@@ -13,7 +13,7 @@ from full_disk import failing_rename, full_disk
 from cep.files.code_files import read_code
 from cep.plots.canvas import new_figure
 from cep.search.problem import SearchProblem
-from lab.fronts import pareto
+from lab.fronts.search import pareto_front
 from motdiff.files.outputs import new_files, new_folder, write_text
 from motdiff.files.trajectories import read_motion
 
@@ -270,15 +270,20 @@ def test_a_command_leaves_all_its_files_or_none(cep, ready, monkeypatch, name):
 
     front = cache(
         partial(
-            pareto.pareto_front,
+            pareto_front,
             SearchProblem.along(chips=8),
             rng=np.random.default_rng(0),
             steps=50,
         )
     )
     # a search takes a second each time
-    monkeypatch.setattr("lab.fronts.run.pareto_front", lambda *_arguments, **_options: front())
-    for figure in ("lab.fronts.run.pareto_figure", "cep.calibration.calibrate.trajectory_figure"):
+    monkeypatch.setattr(
+        "lab.fronts.comparison.pareto_front", lambda *_arguments, **_options: front()
+    )
+    for figure in (
+        "lab.fronts.comparison.pareto_figure",
+        "cep.calibration.calibrate.trajectory_figure",
+    ):
         monkeypatch.setattr(figure, lambda *_arguments: new_figure(1, 1))
     arguments = (*COMMANDS[name], "--force")
     emptied()

@@ -17,8 +17,8 @@ from cep.plots.canvas import PRINTED_IN, in_lines, least_pt
 from cep.search.advise import advise
 from cep.search.problem import SearchProblem
 from lab.bench.blind.picture import Shown, blind_figure
-from lab.fronts.pareto import pareto_front
 from lab.fronts.plot import pareto_figure
+from lab.fronts.search import pareto_front
 from motdiff.trajectory import Trajectory
 
 PATH = Trajectory.from_samples([[0, 0], [8, 2], [9, 9]], direction="known")

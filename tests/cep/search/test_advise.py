@@ -23,7 +23,7 @@ from cep.search.problem import SearchProblem
 from cep.search.verdict import verdict
 from hw.device import DeviceProfile
 from lab.frames.optimum import frames_verdict, optimize_frames
-from lab.fronts.run import pareto
+from lab.fronts.comparison import pareto
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 

@@ -10,6 +10,12 @@ from scipy.io import savemat
 from cep.files.images import read_image, write_image
 from lab.bench.blind import report
 from lab.bench.blind.cases import make_case, real_pair, real_photos, shot_of
+from lab.bench.blind.cells import (
+    TimedEstimator,
+    measure_levin,
+    measure_real,
+    measure_simulated,
+)
 from lab.bench.blind.methods import (
     SMALL_BUDGETS,
     budget_warning,
@@ -17,6 +23,7 @@ from lab.bench.blind.methods import (
     select_methods,
     version_of,
 )
+from lab.bench.blind.plan import blind_plan, one_cell_each
 from lab.bench.blind.protocol import (
     Motions,
     Protocol,
@@ -25,13 +32,6 @@ from lab.bench.blind.protocol import (
     synthetic_trace,
 )
 from lab.bench.blind.report import blind_tables, cells_csv
-from lab.bench.blind.run import blind_plan, one_cell_each
-from lab.bench.blind.work import (
-    TimedEstimator,
-    measure_levin,
-    measure_real,
-    measure_simulated,
-)
 from lab.bench.psf_text import psf_from_text, psf_to_text
 from lab.jobs import fingerprint
 from lab.jobs.fingerprint import source_version
@@ -213,7 +213,7 @@ EACH = Protocol(
 
 
 def test_with_one_motion_each_photos_come_in_turns(tmp_path, monkeypatch):
-    monkeypatch.setattr("lab.bench.blind.run._OTHERS", 3)
+    monkeypatch.setattr("lab.bench.blind.plan._OTHERS", 3)
     for name in ("a.png", "b.png"):
         write_image(tmp_path / name, np.random.default_rng(0).random((100, 100)))
     plan = blind_plan(EACH, ["pmp"], folder=tmp_path)
@@ -529,7 +529,7 @@ def test_every_method_has_a_version_of_its_own_code():
             "motdiff.crops",
             "motdiff.metrics",
         ),
-        *("lab.evaluation.sets", "motdiff.trajectory", "lab.bench.blind.work"),
+        *("lab.evaluation.sets", "motdiff.trajectory", "lab.bench.blind.cells"),
         *("motdiff.files.decoding", "motdiff.files.mat_files"),
     ],
 )
@@ -702,7 +702,7 @@ def test_every_light_level_has_its_tables_and_failures_are_told():
 
 
 def test_speed_takes_one_motion_per_photo(tmp_path, monkeypatch):
-    monkeypatch.setattr("lab.bench.blind.run._OTHERS", 3)
+    monkeypatch.setattr("lab.bench.blind.plan._OTHERS", 3)
     for name in ("a.png", "b.png", "c.png"):
         write_image(tmp_path / name, np.random.default_rng(0).random((100, 100)))
     protocol = replace(TINY, photos=3, light_photons=(1000.0, 100.0))

@@ -6,8 +6,8 @@ import pytest
 
 from cep.files.images import write_image
 from lab.bench.blind.cases import check_real, real_photos
+from lab.bench.blind.plan import blind_plan
 from lab.bench.blind.protocol import Protocol
-from lab.bench.blind.run import blind_plan
 from lab.bench.datasets import RSBLUR_LIST, koehler_pairs, layout_of, photo_folder, rsblur_pairs
 
 

@@ -12,7 +12,7 @@ from cep.optics.code import ShutterCode
 from cep.report.page import DEMO_FILES, DEMO_SCHEMA
 from lab.bench.datasets import bundled_photos, crop, layout_of, photo_folder, pick
 from lab.bench.table_io import Provenance, made_json
-from lab.fronts.run import FRONT_SCHEMA
+from lab.fronts.comparison import FRONT_SCHEMA
 from motdiff.files.trajectories import StoredMotion, write_motion
 from motdiff.trajectory import Trajectory
 

@@ -36,7 +36,7 @@ CEILINGS = ["best-quadratic", "true-path", "true-kernel"]
 def studio(tmp_path, monkeypatch):
     """A folder with two sharp photos and a small protocol; the process works in it."""
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("lab.bench.blind.run._OTHERS", 5)
+    monkeypatch.setattr("lab.bench.blind.plan._OTHERS", 5)
     # the search for the best one takes 7 CPU-s a motion, and has tests of its own
     monkeypatch.setattr(
         "lab.evaluation.floors.most_alike_quadratic", lambda path, *, size: nearest_quadratic(path)

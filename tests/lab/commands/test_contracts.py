@@ -31,7 +31,7 @@ def idle(workplace, monkeypatch):
     def work(*_arguments, **_options):
         raise AssertionError("the work has begun")
 
-    importlib.import_module("lab.bench.blind.run")
+    importlib.import_module("lab.bench.blind.plan")
     for name in ("lab.jobs.engine.run_cells", "lab.bench.coded.job.measure_coded"):
         module, _, attribute = name.rpartition(".")
         if hasattr(importlib.import_module(module), attribute):

@@ -10,7 +10,7 @@ import pytest
 from cep.codes.published import for_chips
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.minimum import min_chip
-from lab.fronts import pareto
+from lab.fronts.search import pareto_front
 
 
 def test_both_files_are_written(lab, workplace):
@@ -81,8 +81,8 @@ def test_an_interrupt_keeps_the_front(lab, workplace, monkeypatch):
 
         return real(problem, progress=stop, **options)
 
-    real = pareto.pareto_front
-    monkeypatch.setattr("lab.fronts.run.pareto_front", interrupted_soon)
+    real = pareto_front
+    monkeypatch.setattr("lab.fronts.comparison.pareto_front", interrupted_soon)
     found = lab.succeeds("pareto", "--chips", "20", "-o", "f.json")
     assert found["interrupted"]
     assert found["stopped"] == "interrupted"
@@ -176,13 +176,13 @@ def test_the_front_says_what_ended_it(lab, workplace):
 
 def test_the_fronts_time_rules_unless_moves_are_given(lab, workplace, monkeypatch):
     seen = []
-    real = pareto.pareto_front
+    real = pareto_front
 
     def hasty(problem, *, steps, time_s, **options):
         seen.append((steps, time_s))
         return real(problem, **options, steps=100, time_s=60.0)
 
-    monkeypatch.setattr("lab.fronts.run.pareto_front", hasty)
+    monkeypatch.setattr("lab.fronts.comparison.pareto_front", hasty)
     for given in ((), ("--time", "7"), ("--steps", "90"), ("--steps", "90", "--time", "7")):
         lab.succeeds("pareto", "--chips", "12", "--open", "6", "--force", *given)
     assert seen == [(None, 60.0), (None, 7.0), (90, math.inf), (90, 7.0)]

@@ -16,8 +16,8 @@ from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from lab.bench.published_codes import chip_noise_db
 from lab.fronts.front import Front, FrontPoint, knees, non_dominated
-from lab.fronts.pareto import front_points, pareto_front
 from lab.fronts.plot import pareto_figure
+from lab.fronts.search import front_points, pareto_front
 from motdiff.trajectory import Trajectory
 
 ZERO = 1e-9

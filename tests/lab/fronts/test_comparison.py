@@ -8,7 +8,7 @@ import pytest
 from cep.codes.published import for_chips
 from cep.optics.camera import Camera
 from cep.search.problem import SearchProblem
-from lab.fronts.run import pareto
+from lab.fronts.comparison import pareto
 from motdiff.trajectory import Trajectory
 
 
@@ -38,7 +38,7 @@ def test_inputs_are_checked_before_outputs_and_outputs_before_the_search(monkeyp
     def claimed():
         raise RuntimeError("outputs")
 
-    monkeypatch.setattr("lab.fronts.run.pareto_front", None)  # not called
+    monkeypatch.setattr("lab.fronts.comparison.pareto_front", None)  # not called
     short = SearchProblem.along(Trajectory.straight(2.0), chips=13)
     for problem, options in ((short, {}), (SearchProblem(chips=13), {"time_s": 0.0})):
         with pytest.raises(ValueError, match=r"^(chips|time_s): "):

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from lab.bench.blind.cases import RealPhoto, check_real, real_photos, shot_of
+from lab.bench.blind.cells import CEILINGS, FLOORS, measure_levin, measure_real, measure_simulated
 from lab.bench.blind.methods import budget_warning, label_of, version_of
 from lab.bench.blind.protocol import Protocol, drawn_shakes, paired_shakes
-from lab.bench.blind.work import CEILINGS, FLOORS, measure_levin, measure_real, measure_simulated
 from lab.bench.datasets import (
     BUNDLED_WARNING,
     Layout,

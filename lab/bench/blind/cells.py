@@ -1,4 +1,4 @@
-"""One cell of the blind table: one method measured on one photo."""
+"""Cells of the blind table: one method measured on one photo."""
 
 from __future__ import annotations
 

@@ -19,7 +19,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cep.codes.published import for_chips
 from cep.optics.code import ShutterCode
@@ -29,9 +28,9 @@ from cep.search.annealing.terms import Tables, lay_out
 from cep.search.cost import CodeCost
 from cep.search.problem import SearchProblem
 from cep.search.search_result import Stopped
-from lab.fronts.front import EQUAL_DB, Archive, Front, FrontPoint, Judge, non_dominated
+from lab.fronts.archive import EQUAL_DB, Archive, Codes, Judge
+from lab.fronts.front import Front, FrontPoint, non_dominated
 
-Codes = NDArray[np.int8]
 Progress = Callable[[float, str], None]
 
 NOISE_SHARES = (0.0, 0.8, 1.0)

@@ -21,8 +21,8 @@ from cep.search.exposures import check_light
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict, verdict
 from lab.fronts.front import Front, FrontPoint, knees
-from lab.fronts.pareto import front_points, pareto_front
 from lab.fronts.plot import pareto_figure
+from lab.fronts.search import front_points, pareto_front
 from motdiff.files.json_files import json_text
 from motdiff.files.outputs import new_files, write_text
 
