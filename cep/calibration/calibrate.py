@@ -20,7 +20,8 @@ from cep.calibration.photo_checks import (
 from cep.files.images import read_image, write_image
 from cep.files.psf_files import write_psf
 from cep.optics.code import ShutterCode
-from cep.plots import png_bytes, save, trajectory_figure
+from cep.plots.canvas import png_bytes, save
+from cep.plots.photos import trajectory_figure
 from cep.restoration.sharpen import sharpen
 from motdiff.estimators.base import Estimator, MotionEstimate, load_estimator
 from motdiff.estimators.description import as_estimate

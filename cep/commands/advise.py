@@ -143,8 +143,8 @@ def advise(options: AdviseOptions) -> None:
     Example: cep advise --trajectory motion/trajectory.json --device sony-pregius --exposure 0.004
     """
     with progress("comparing") as tick:
-        from cep.plots import check_figure_name, save
         from cep.plots.advice import advice_figure
+        from cep.plots.canvas import check_figure_name, save
         from cep.search.advise import advise as compare_exposures
         from cep.search.chip_count import choose_chips
         from motdiff.files.outputs import claim

@@ -12,7 +12,7 @@ from cep.commands.options import FigureOptions, command, option, output_option
 
 if TYPE_CHECKING:
     from cep.optics.code import ShutterCode
-    from cep.plots.codes import MtfRow
+    from cep.proofs.mtf_curves import MtfRow
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,8 +32,9 @@ def mtf(options: MtfOptions) -> None:
     Example: cep mtf --trajectory trajectory.json --code code.json --code raskar-52 -o mtf.png
     """
     from cep.codes.sources import code_label, load_code
-    from cep.plots import check_figure_name, mtf_figure, save
-    from cep.plots.codes import OPEN, compare_mtfs
+    from cep.plots.canvas import check_figure_name, save
+    from cep.plots.codes import mtf_figure
+    from cep.proofs.mtf_curves import OPEN, compare_mtfs
 
     check_figure_name(options.output)
     motion = options.load_motion().trajectory
@@ -65,8 +66,8 @@ def mtf(options: MtfOptions) -> None:
 
 
 def _table(curves: Mapping[str, MtfRow], output: Path) -> Table:
-    from cep.plots.codes import OPEN
     from cep.proofs.measure import figure_head, figure_in_words
+    from cep.proofs.mtf_curves import OPEN
 
     heads = (figure_head(*item) for item in curves[OPEN].figures.items())
     rows = [

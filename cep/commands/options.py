@@ -347,7 +347,7 @@ class CameraFileOptions:
 
     def check_names(self) -> None:
         """Refuse names of other files than are written."""
-        from cep.plots import check_figure_name
+        from cep.plots.canvas import check_figure_name
 
         if self.output.suffix.lower() not in (".toml", ".json"):
             raise ValueError(f"{self.output}: a camera file must end in .json or .toml")

@@ -23,16 +23,10 @@ from cep.calibration.calibrate import CALIBRATION_FILES, Calibration
 from cep.files.code_files import StoredCode, write_code
 from cep.files.formatting import duration, number
 from cep.files.images import encode_image, write_image
-from cep.plots import (
-    before_after,
-    code_strips,
-    mtf_figure,
-    png_bytes,
-    psf_figure,
-    trajectory_figure,
-)
 from cep.plots.advice import advice_figure
-from cep.plots.canvas import thumbnail
+from cep.plots.canvas import png_bytes, thumbnail
+from cep.plots.codes import code_strips, mtf_figure
+from cep.plots.photos import before_after, psf_figure, trajectory_figure
 from hw.device import load_profile, profile_names
 from hw.export import EXPORTERS, export_program
 from hw.program import Program

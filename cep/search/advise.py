@@ -126,8 +126,8 @@ class Advice:
         return self.sentence
 
     def _repr_png_(self) -> bytes:
-        from cep.plots import png_bytes
         from cep.plots.advice import advice_figure
+        from cep.plots.canvas import png_bytes
 
         return png_bytes(advice_figure(self))
 

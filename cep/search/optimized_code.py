@@ -171,7 +171,8 @@ class OptimizedCode:
         return "\n".join([*lines, *self.warnings])
 
     def _repr_png_(self) -> bytes:
-        from cep.plots import mtf_figure, png_bytes
+        from cep.plots.canvas import png_bytes
+        from cep.plots.codes import mtf_figure
 
         path = self.along or self.problem.scenarios[0].trajectory
         return png_bytes(mtf_figure(path, {"open shutter": None, "this code": self.code}))

@@ -20,9 +20,9 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_rows, coded_psf, coded_sum, distinct_rows
 from cep.optics.path_limits import check_frame, check_resolved
-from cep.plots.codes import main_axis
 from cep.proofs.audit import with_proven_zero
 from cep.proofs.measure import CodeMetrics
+from cep.proofs.mtf_curves import main_axis
 from cep.restoration.wiener import wiener
 from cep.search.expected import ExpectedPsnr
 from cep.search.exposures import Exposure, ExposureFinder, check_light, judged_exposures, kind_of

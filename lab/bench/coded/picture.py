@@ -11,7 +11,7 @@ import numpy as np
 
 from cep.files.foreign_text import plot_text
 from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, new_figure, show_photo
-from cep.plots.codes import mtf_curve
+from cep.proofs.mtf_curves import mtf_curve
 from lab.bench.coded.designs import design_of
 from lab.bench.coded.stages import pictures_of
 from lab.bench.inset import show_inset

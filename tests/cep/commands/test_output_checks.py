@@ -62,7 +62,7 @@ WORK = (
     "cep.calibration.calibrate.make_method",
     "cep.search.optimize.search_code",
     "cep.proofs.audit.certify",
-    "cep.plots.codes.mtf_curve",
+    "cep.proofs.mtf_curves.mtf_curve",
     "cep.restoration.restore.restore",
     "hw.drivers.cxp.open_link",
     "cep.shutter.playback.read_capture",

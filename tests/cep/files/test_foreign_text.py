@@ -26,8 +26,9 @@ from cep.files.foreign_text import (
 )
 from cep.files.tables import Bold, Sheet, latex, markdown, write_sheets
 from cep.optics.code import ShutterCode
-from cep.plots import psf_figure, save
+from cep.plots.canvas import save
 from cep.plots.codes import code_strips
+from cep.plots.photos import psf_figure
 from motdiff.files.inputs import printable
 from motdiff.files.json_files import json_text
 

@@ -9,19 +9,10 @@ import pytest
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
-from cep.plots import (
-    COLOURS,
-    before_after,
-    code_strips,
-    main_axis,
-    mtf_curve,
-    mtf_figure,
-    png_bytes,
-    psf_figure,
-    save,
-    trajectory_figure,
-)
 from cep.plots.advice import advice_figure
+from cep.plots.canvas import COLOURS, png_bytes, save
+from cep.plots.codes import code_strips, mtf_figure
+from cep.plots.photos import before_after, psf_figure, trajectory_figure
 from cep.plots.wiring import Wire, WiredBoard, wiring_figure
 from cep.search.advise import advise
 from cep.search.problem import SearchProblem
@@ -34,19 +25,6 @@ BENT = Trajectory.from_samples([[0, 0], [8, 2], [9, 9]], direction="known")
 
 def pixels(figure):
     return cv2.imdecode(np.frombuffer(png_bytes(figure, dpi=60), np.uint8), cv2.IMREAD_COLOR)
-
-
-def test_the_mtf_of_a_box_is_a_sinc():
-    freq_cy_px, mtf = mtf_curve(Trajectory.straight(12.0, angle_rad=0.3), None)
-    np.testing.assert_allclose(mtf, np.abs(np.sinc(12 * freq_cy_px)), atol=1e-12)
-    coded = mtf_curve(Trajectory.straight(12.0), ShutterCode("1010"))[1]
-    assert coded[0] == pytest.approx(0.5)
-
-
-def test_the_main_axis_points_along_the_motion():
-    for angle in (0.0, 0.4, 2.0):
-        axis = main_axis(Trajectory.straight(10.0, angle_rad=angle))
-        assert abs(axis @ [np.cos(angle), np.sin(angle)]) == pytest.approx(1)
 
 
 def test_a_path_is_drawn_as_the_photo_lies():
@@ -194,8 +172,9 @@ def test_files_by_suffix(tmp_path):
 
 def test_pyplot_is_never_loaded():
     code = (
-        "import sys, numpy as np; from cep.plots import *; from cep.optics.code import"
-        " ShutterCode\nfrom motdiff.trajectory import Trajectory\nt = Trajectory.straight(5.0);"
+        "import sys, numpy as np; from cep.plots.canvas import *; from cep.plots.codes import"
+        " *; from cep.plots.photos import *; from cep.optics.code import ShutterCode\nfrom"
+        " motdiff.trajectory import Trajectory\nt = Trajectory.straight(5.0);"
         " png_bytes(trajectory_figure(np.zeros((20, 20)), t))\npsf_figure({'a': t.psf(16)});"
         " code_strips({'a': ShutterCode('11')}); mtf_figure(t, {'a': None}, grid=9)\nassert"
         " 'matplotlib.figure' in sys.modules and 'matplotlib.pyplot' not in sys.modules"

@@ -10,10 +10,11 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.frame_pairs import CodeRange, FramePair
 from cep.optics.photon_transfer import photon_transfer
-from cep.plots import code_strips, mtf_figure, save, trajectory_figure
 from cep.plots.advice import advice_figure
 from cep.plots.camera import photon_transfer_figure
-from cep.plots.canvas import PRINTED_IN, in_lines, least_pt
+from cep.plots.canvas import PRINTED_IN, in_lines, least_pt, save
+from cep.plots.codes import code_strips, mtf_figure
+from cep.plots.photos import trajectory_figure
 from cep.search.advise import advise
 from cep.search.problem import SearchProblem
 from lab.bench.blind.picture import Shown, blind_figure
