@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from cep.commands.code_options import exposure_seconds
-from cep.commands.commands import in_options, with_photo_file
 from cep.commands.console import Table, end, finish, part, progress
+from cep.commands.errors import in_options, with_photo_file
 from cep.commands.next_photo import NextOptions, next_step, write_next
 from cep.commands.options import (
     CommonOptions,

@@ -1,10 +1,8 @@
-"""Output of commands: JSON or a page on stdout; progress, warnings and errors on stderr."""
+"""Output of commands: JSON or a page on stdout; progress and warnings on stderr."""
 
 from __future__ import annotations
 
-import os
 import sys
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -225,43 +223,6 @@ def end(*, missing: int, failed: int) -> None:
         raise typer.Exit(INTERRUPTED)
     if failed:
         raise typer.Exit(FAILURE)
-
-
-def explain(error: BaseException) -> int:
-    """Print one line for ``error`` and return the exit code: 2 for bad input, 1 for a failure.
-
-    ``CEP_DEBUG=1`` in the environment prints the traceback too.
-    """
-    if os.environ.get("CEP_DEBUG") == "1":
-        traceback.print_exception(error)
-    # what must be known besides: a shutter that may be open, a code that was found
-    notes = "".join(f"; {note}" for note in getattr(error, "__notes__", ()))
-    code = FAILURE
-    if hasattr(error, "format_message"):  # a usage error of click, which typer bundles
-        path = getattr(getattr(error, "ctx", None), "command_path", "cep")
-        line = f"{error.format_message()} (see {path} --help)"
-        notes = ""
-        code = BAD_INPUT
-    elif isinstance(error, OSError):
-        import errno
-
-        # no fault of the command line
-        full_disk = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-        reason = error.strerror or str(error) or type(error).__name__
-        line = ": ".join(str(text) for text in (error.filename, reason) if text)
-        if error.errno not in full_disk:
-            code = BAD_INPUT
-    elif isinstance(error, ValueError):
-        line = str(error) or "wrong input"
-        code = BAD_INPUT
-    elif isinstance(error, MemoryError):
-        line = f"not enough memory ({error}): use a smaller photo or crop it"
-    elif isinstance(error, RuntimeError):
-        line = str(error)
-    else:  # a fault of the program: its kind helps whoever reports it
-        line = f"{type(error).__name__}: {error}"
-    announce(line + notes)
-    return code
 
 
 @contextmanager

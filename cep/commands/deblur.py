@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cep.commands.commands import with_photo_file
 from cep.commands.console import Page, Tick, finish, part, progress
+from cep.commands.errors import with_photo_file
 from cep.commands.options import (
     MOTION,
     CameraOptions,

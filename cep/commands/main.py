@@ -26,8 +26,9 @@ from cep.commands import (
     studio,
     upload,
 )
-from cep.commands.commands import Command, Group
-from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, announce, explain, warn
+from cep.commands.console import BAD_INPUT, FAILURE, INTERRUPTED, announce, warn
+from cep.commands.errors import explain
+from cep.commands.help_pages import Command, Group
 
 # commands of earlier versions that are not part of the product
 _MOVED = {

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cep.commands.commands import with_photo_file
 from cep.commands.console import finish, part, progress
+from cep.commands.errors import with_photo_file
 
 if TYPE_CHECKING:
     from cep.calibration.refine import Refinement

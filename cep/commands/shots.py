@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from cep.commands.commands import with_photo_file
 from cep.commands.console import FAILURE, announce, finish, progress
+from cep.commands.errors import with_photo_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

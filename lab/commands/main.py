@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import typer
 
-from cep.commands.commands import Command, Group
 from cep.commands.console import lines_of
+from cep.commands.help_pages import Command, Group
 from cep.commands.main import run_app
 from lab.commands import bench, design_class, frames, pareto, prove
 

@@ -9,7 +9,7 @@ import typer
 from typer.testing import CliRunner
 
 from cep.commands import export
-from cep.commands.commands import Command
+from cep.commands.help_pages import Command
 from cep.studio.views import start_view
 from hw.export import EXPORTERS, export_program
 from hw.export.base import GENERIC, Exporter

@@ -17,6 +17,7 @@ from scipy.io import savemat
 
 from cep.codes.sources import load_code
 from cep.commands import console
+from cep.commands.errors import explain
 from cep.commands.main import app
 from cep.files.code_files import read_code
 from cep.files.images import read_image, read_photo, write_image
@@ -184,12 +185,12 @@ def test_wrong_usage_is_one_line(cep, arguments):
 
 
 def test_failures_are_one_line_and_exit_1(monkeypatch, capsys):
-    assert console.explain(RuntimeError("device is gone")) == 1
-    assert console.explain(ZeroDivisionError("two\nlines")) == 1
+    assert explain(RuntimeError("device is gone")) == 1
+    assert explain(ZeroDivisionError("two\nlines")) == 1
     noted = RuntimeError("device is gone")
     noted.add_note("look at the shutter")
-    assert console.explain(noted) == 1
-    assert console.explain(MemoryError()) == 1
+    assert explain(noted) == 1
+    assert explain(MemoryError()) == 1
     lines = capsys.readouterr().err.splitlines()
     assert lines[:3] == [
         "cep: device is gone",
@@ -198,7 +199,7 @@ def test_failures_are_one_line_and_exit_1(monkeypatch, capsys):
     ]
     assert "Traceback" not in "".join(lines)
     monkeypatch.setenv("CEP_DEBUG", "1")
-    console.explain(ValueError("why"))
+    explain(ValueError("why"))
     assert "cep: why" in capsys.readouterr().err
 
 

@@ -10,7 +10,7 @@ import pytest
 import typer
 
 from cep.commands import camera, controller
-from cep.commands.commands import in_options
+from cep.commands.errors import in_options
 from cep.commands.main import app
 
 GYRO = [
