@@ -12,7 +12,8 @@ import cep
 from cep.files.code_files import StoredCode, read_code, stored_device
 from cep.files.formatting import seconds_of
 from cep.studio.fields import FieldError, nameless
-from cep.studio.state import described_paths, read_state, saved_setting
+from cep.studio.motions import described_paths
+from cep.studio.state import read_state, saved_setting
 from cep.studio.views import STUDIO_SCHEMA, Views
 from hw.device import load_profile, profile_names
 from motdiff.files.json_files import fault, json_text, load_schema, read_versioned, stated_schema

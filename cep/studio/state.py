@@ -5,37 +5,29 @@ What reads a part of it raises :class:`cep.studio.fields.FieldError`.
 
 from __future__ import annotations
 
-import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
-from typing import Any, Literal
-
-import numpy as np
+from typing import Any
 
 import cep
 from cep.files.formatting import option_words, seconds_of
 from cep.optics.camera import camera_names
-from cep.studio.examples import example_motion
 from cep.studio.fields import (
     LIMITS,
     MOST_CHIPS,
     FieldError,
-    is_number,
     is_text,
     read_bits,
     read_choice,
     read_number,
     read_whole,
 )
+from cep.studio.motions import page_motion
 from hw.device import load_profile, profile_names
 
-_MOST_SAMPLES = 512  # of a path in the address
-_KEPT_SAMPLES = 160  # to which the page thins one
-_TIME_STEPS = 65_535  # of a path in the address: 16 bits
-_FARTHEST_PX = 500.0  # of a bent path: the work grows with its area, to some seconds of a picture
 _MOST_ERROR_PX = 20.0
 _MOST_EXPOSURE_S = 86_400.0  # a day
 _MOST_STEPS = 10**9
@@ -241,7 +233,7 @@ def read_setting(document: object) -> Setting:
     if not isinstance(document, dict):
         raise FieldError("page", f"the state must be an object, got {type(document).__name__}")
     bits = read_bits(document.get("bits"), "bits")
-    motion, trajectory = _motion(document.get("motion"))
+    motion, trajectory = page_motion(document.get("motion"))
     return Setting(
         motion=motion,
         trajectory=trajectory,
@@ -311,94 +303,6 @@ def read_state(document: object) -> dict[str, Any]:
 def saved_setting(state: Mapping[str, Any]) -> Setting:
     """Return the setting of a page's state; what it leaves out is as on the first page."""
     return read_setting({**_FIRST_PAGE, **state})
-
-
-def path_fields(trajectory: cep.Trajectory) -> dict[str, Any]:
-    """Return a motion as the page keeps it in its address: thinned, with times in 16 bits.
-
-    Samples of a fast jump that fall on the same time are moved to the next ones.
-    """
-    path = trajectory
-    tolerance_px = 0.005
-    while path.t.size > _KEPT_SAMPLES:
-        path = trajectory.thinned(tolerance_px)
-        tolerance_px = 1.4 * tolerance_px
-    order = np.arange(path.t.size)
-    # strictly rising whole numbers: from the left each at least one above the one before ...
-    steps = np.maximum.accumulate(np.rint(_TIME_STEPS * path.t) - order) + order
-    # ... and none so high that the samples after it have no room below the end
-    t = np.minimum(steps, _TIME_STEPS - order[::-1]) / _TIME_STEPS
-    samples = {
-        name: np.round(values, 5).tolist() for name, values in (("x", path.x), ("y", path.y))
-    }
-    return {"kind": "path", "direction": path.direction, "t": t.tolist(), **samples}
-
-
-def described_paths(
-    weights: Sequence[float], paths: Sequence[cep.Trajectory]
-) -> list[dict[str, Any]]:
-    """Return motions with their probabilities and sizes, as the page lists them."""
-    return [
-        {
-            "weight": weight,
-            "length_px": path.length_px,
-            "extent_px": path.extent_px,
-            **path_fields(path),
-        }
-        for weight, path in zip(weights, paths, strict=True)
-    ]
-
-
-def _motion(motion: object) -> tuple[Mapping[str, Any], cep.Trajectory]:
-    if not isinstance(motion, dict):
-        raise FieldError("motion", "the motion must be an object with its kind")
-    kind = motion.get("kind")
-    if kind == "straight":
-        length = read_number(motion, "length", 1.0, 1_000.0, "px")
-        angle = read_number(motion, "angle", -360.0, 360.0, "degrees") or 0.0
-        if length is None:
-            raise FieldError("length", "a straight motion needs its length in px")
-        return {"kind": kind, "length": length, "angle": angle}, cep.Trajectory.straight(
-            length, angle_rad=math.radians(angle)
-        )
-    if kind == "example":
-        name = motion.get("name")
-        try:
-            return {"kind": kind, "name": name}, example_motion(
-                name if isinstance(name, str) else ""
-            )
-        except ValueError as error:
-            raise FieldError("motion", str(error).removeprefix("motion: ")) from None
-    if kind != "path":
-        raise FieldError("motion", "the kind of a motion is straight, example or path")
-    columns = [motion.get(name) for name in "txy"]
-    sizes = {len(column) for column in columns if isinstance(column, list)}
-    are_lists = all(isinstance(column, list) for column in columns)
-    if not are_lists or len(sizes) != 1 or not 2 <= sizes.pop() <= _MOST_SAMPLES:
-        raise FieldError(
-            "motion", f"a path has 2 to {_MOST_SAMPLES} samples, as many of t as of x and y"
-        )
-    if not all(is_number(value) for column in columns for value in column or ()):
-        raise FieldError("motion", "t, x and y of a path are finite numbers")
-    t, x, y = (np.array(column, dtype=np.float64) for column in columns)
-    if max(np.abs(x).max(), np.abs(y).max()) > _FARTHEST_PX:
-        raise FieldError("motion", f"a path lies within {_FARTHEST_PX:g} px")
-    direction: Literal["known", "unknown"] = "unknown"
-    if motion.get("direction") == "known":
-        direction = "known"
-    try:
-        path = cep.Trajectory.from_samples(np.column_stack([x, y]), t=t, direction=direction)
-    except ValueError as error:
-        raise FieldError("motion", str(error).removeprefix("trajectory: ")) from None
-    if path.extent_px < 1e-3:
-        raise FieldError("motion", "the path stays in place; a motion is needed")
-    return {
-        "kind": kind,
-        "t": t.tolist(),
-        "x": x.tolist(),
-        "y": y.tolist(),
-        "direction": direction,
-    }, path
 
 
 def _exposure(exposure: object) -> str:

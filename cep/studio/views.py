@@ -22,10 +22,10 @@ from cep.plots.advice import EXPOSURE_NAMES
 from cep.report.scene import bundled_picture
 from cep.shutter.cameras import CAMERAS
 from cep.shutter.play import on_ticks
-from cep.studio.examples import EXAMPLES
 from cep.studio.fields import FieldError
 from cep.studio.live import LiveBench, LiveScene, broken_limits
-from cep.studio.state import Setting, path_fields, read_search, read_state
+from cep.studio.motions import EXAMPLES, path_fields
+from cep.studio.state import Setting, read_search, read_state
 from hw.cameras import camera_class
 from hw.device import load_profile, profile_names
 from hw.export import EXPORTERS, export_program, find_exporter

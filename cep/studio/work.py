@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 
 from cep.studio.fields import FieldError, nameless, writing
+from cep.studio.motions import described_paths
 from cep.studio.photo_files import PREVIEW_PX, beside, read_motion, write_motion, write_preview
 from cep.studio.shots import shoot
-from cep.studio.state import described_paths, read_search, read_setting
+from cep.studio.state import read_search, read_setting
 from motdiff.files.json_files import plain
 
 Order = Mapping[str, Any]

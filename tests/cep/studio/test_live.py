@@ -9,8 +9,8 @@ from cep.search.limits import RunLimits
 from cep.search.measured import shifts_db
 from cep.search.problem import SearchProblem
 from cep.search.verdict import verdict
-from cep.studio.examples import example_motion
 from cep.studio.live import MAP_COLUMNS, MAP_ROWS, LiveBench, LiveScene, broken_limits
+from cep.studio.motions import example_motion
 from hw.device import load_profile
 from motdiff.trajectory import Trajectory
 

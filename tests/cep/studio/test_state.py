@@ -8,7 +8,8 @@ from documented_commands import command_line
 
 import cep
 from cep.studio.fields import FieldError
-from cep.studio.state import path_fields, read_search, read_setting, read_state
+from cep.studio.motions import path_fields
+from cep.studio.state import read_search, read_setting, read_state
 from motdiff.motions import boracchi_foi
 
 
