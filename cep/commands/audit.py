@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from cep.files.code_files import StoredCode
     from cep.proofs.audit import Audit
     from cep.proofs.verify import Verdict
+    from motdiff.trajectory import Trajectory
 
 _LISTED_ZEROS = 12  # for people; --json has all
 _NO_ADVICE = {"verdict": None, "choice": None, "gains_db": None}  # where no motion is named
@@ -67,7 +68,6 @@ def audit(options: AuditOptions) -> None:
     from cep.codes.sources import find_code
     from cep.files.code_files import stored_camera, stored_scene
     from cep.proofs.audit import audit as audit_code
-    from cep.proofs.verify import verify
     from cep.search.problem import SearchProblem
     from cep.search.verdict import verdict
     from motdiff.files.json_files import json_text
@@ -92,7 +92,6 @@ def audit(options: AuditOptions) -> None:
         path_error_px = options.path_error_px(stored_motion)
     figures = options.find_figures()
     outputs = options.outputs(options.output)
-    advice: Mapping[str, Any] = _NO_ADVICE
     with progress("auditing") as tick:
         measured = audit_code(
             stored.code,
@@ -104,26 +103,19 @@ def audit(options: AuditOptions) -> None:
             progress=tick,
             on_checked=outputs.check,
         )
+        advice: Mapping[str, Any] = _NO_ADVICE
         if motion is not None:
+            code = stored.code
             problem = SearchProblem.along(
-                motion,
-                chips=stored.code.chips,
-                chip_ns=stored.code.chip_ns,
-                camera=camera,
-                scene=scene,
+                motion, chips=code.chips, chip_ns=code.chip_ns, camera=camera, scene=scene
             )
-            judgement = verdict(problem, stored.code, path_error_px=path_error_px)
+            judgement = verdict(problem, code, path_error_px=path_error_px)
             advice = {
                 "verdict": judgement.sentence,
                 "choice": judgement.choice,
                 "gains_db": judgement.gains_db,
             }
-    verified = None
-    if stored.certificate:
-        path = None
-        if motion is not None:  # as plain numbers: the checker shares no code with the product
-            path = (motion.t.tolist(), motion.xy.tolist())
-        verified = verify(stored.certificate, bits=stored.code.bits, path=path)
+    verified = _verified(stored, motion)
     result = {
         **advice,
         **measured.to_dict(),
@@ -144,6 +136,18 @@ def audit(options: AuditOptions) -> None:
         outputs=outputs,
         save=save,
     )
+
+
+def _verified(stored: StoredCode, motion: Trajectory | None) -> Verdict | None:
+    """Check a file's certificate; None where there is none."""
+    from cep.proofs.verify import verify
+
+    if not stored.certificate:
+        return None
+    path = None
+    if motion is not None:  # as plain numbers: the checker shares no code with the product
+        path = (motion.t.tolist(), motion.xy.tolist())
+    return verify(stored.certificate, bits=stored.code.bits, path=path)
 
 
 def _warnings(
