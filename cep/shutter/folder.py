@@ -35,7 +35,7 @@ class FolderCamera(Camera):
     summary: ClassVar[str] = (
         "folder:PATH, the next photo that another program saves there; #gamma=linear for frames"
     )
-    triggers: ClassVar[frozenset[Trigger]] = frozenset({Trigger.LINE, Trigger.WIDTH})
+    triggers: ClassVar[frozenset[Trigger]] = frozenset({Trigger.LINE})
 
     def __init__(self, folder: Path, gamma: str) -> None:
         self.folder = folder

@@ -82,8 +82,8 @@ class Gphoto2Camera(Camera):
         """Take the shortest listed speed that is long enough, or else bulb."""
         if settings.trigger is not Trigger.SOFTWARE:
             raise ValueError(f"trigger: {self.camera} is fired by this computer, by USB, alone")
-        if settings.gain_db is not None or settings.pixel_format is not None:
-            raise ValueError(f"gain, pixel_format: set ISO and quality at {self.camera} itself")
+        if settings.gain_db is not None:
+            raise ValueError(f"gain: set ISO at {self.camera} itself")
         with _errors():
             names = [name for name in _SPEED_NAMES if self._has(name)]
             choices = self._choices(names[0]) if names else ()

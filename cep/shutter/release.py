@@ -45,7 +45,7 @@ def checked_release(
         None for the best that both can: the camera's own trigger input is preferred.
     """
     fires = Trigger.SOFTWARE in triggers
-    has_input = bool(triggers & {Trigger.LINE, Trigger.WIDTH})
+    has_input = Trigger.LINE in triggers
     has_busy = not firmware.startswith(NO_BUSY_OUTPUT)
     if release is None:
         return Release.SHUTTER if has_input and (has_busy or not fires) else Release.CAMERA

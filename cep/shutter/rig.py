@@ -140,9 +140,7 @@ class Rig:
         board = controller.announced
         release = checked_release(camera.triggers, camera.name, board.firmware, settings.release)
         plan = ExposurePlan.of(code, settings, release, board_lead_ns=board.lead_ns)
-        trigger = Trigger.SOFTWARE
-        if not release.fires:
-            trigger = Trigger.LINE if Trigger.LINE in camera.triggers else Trigger.WIDTH
+        trigger = Trigger.SOFTWARE if release.fires else Trigger.LINE
         noise = _noise(settings.profile)
         if isinstance(camera, TwinCamera):
             noise = camera.noise

@@ -260,12 +260,12 @@ class TwinCamera(Camera):
         self.scene = replace(self.scene, motion=motion, start_s=start_s, duration_s=duration_s)
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Take exposure and trigger; gain and pixel format are those of the noise model."""
+        """Take exposure and trigger; the gain is that of the noise model."""
         if not 1e-6 <= settings.exposure_s <= 10:
             raise ValueError(
                 f"camera: twin exposes for 1 us to 10 s, got {settings.exposure_s:g} s"
             )
-        self._settings = replace(settings, gain_db=0.0, pixel_format=f"Mono{self.noise.bits}")
+        self._settings = replace(settings, gain_db=0.0)
         if self.scene.motion is None:
             self.scene = replace(self.scene, duration_s=settings.exposure_s)
             self.warnings = ("the twin's scene rests: --linear or --trajectory moves it",)
@@ -333,17 +333,12 @@ class TwinCamera(Camera):
                 return None
             return fired_cycle * _CYCLE_S, late_s, late_s + self._settings.exposure_s
         pin = "trigger" if trigger is Trigger.SOFTWARE else "busy"
-        edges = [edge for edge in self.uno.edges(pin) if edge[0] >= armed_cycle]
-        rise = next((cycle for cycle, level in edges if level), None)
-        fall = next((cycle for cycle, level in edges if not level and rise and cycle > rise), None)
-        if rise is None or (trigger is Trigger.WIDTH and fall is None):
+        edges = self.uno.edges(pin)
+        rise = next((cycle for cycle, level in edges if level and cycle >= armed_cycle), None)
+        if rise is None:
             return None
-        trigger_s = rise * _CYCLE_S
         start_s = 0.0 if trigger is Trigger.SOFTWARE else late_s
-        exposure_s = self._settings.exposure_s
-        if trigger is Trigger.WIDTH and fall is not None:
-            exposure_s = (fall - rise) * _CYCLE_S
-        return trigger_s, start_s, start_s + exposure_s
+        return rise * _CYCLE_S, start_s, start_s + self._settings.exposure_s
 
     def _awaited(self, answer: Callable[[], Answer | None], timeout_s: float) -> Answer:
         deadline = time.monotonic() + timeout_s

@@ -25,9 +25,7 @@ class Trigger(StrEnum):
     SOFTWARE = "software"
     """``fire``."""
     LINE = "line"
-    """An edge on the camera's trigger input, for the time set as exposure."""
-    WIDTH = "width"
-    """A level on the trigger input: the camera exposes as long as it lasts."""
+    """An edge on the camera's trigger input."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,14 +39,11 @@ class CameraSettings:
     trigger : Trigger
     gain_db : float or None
         The camera's own where None.
-    pixel_format : str or None
-        GenICam's name, as ``Mono12`` or ``BayerRG8``; the deepest that the camera has where None.
     """
 
     exposure_s: float
     trigger: Trigger = Trigger.SOFTWARE
     gain_db: float | None = None
-    pixel_format: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -140,7 +135,7 @@ class Camera(Protocol):
         Raises
         ------
         ValueError
-            If it cannot: the exposure's bounds, its pixel formats, its triggers are named.
+            If it cannot: the exposure's bounds or its triggers are named.
         """
 
     def arm(self) -> None:

@@ -9,7 +9,7 @@ from dataclasses import replace
 from typing import ClassVar, Protocol
 
 from hw.cameras.camera import Camera, CameraError, CameraSettings, Frame, FrameLostError, Trigger
-from hw.cameras.pixel_formats import PixelFormat, deepest, pixel_format
+from hw.cameras.pixel_formats import PixelFormat, deepest
 
 SETTLING_S = 0.1
 """Wait after the start of acquisition, for cameras that do not state when they are ready."""
@@ -99,12 +99,12 @@ class GenicamCamera(Camera, ABC):
     # -- the protocol -------------------------------------------------------------------------
 
     def configure(self, settings: CameraSettings) -> CameraSettings:
-        """Set format, trigger, exposure and gain; return what the camera took.
+        """Set the deepest format, trigger, exposure and gain; return what the camera took.
 
         Automatic exposure, gain and frame rate are switched off.
         """
         self._halt()
-        self._format = self._chosen_format(settings.pixel_format)
+        self._format = self._deepest_format()
         self._change("PixelFormat", self._format.name)
         for name, value in (
             ("ExposureAuto", "Off"),
@@ -115,14 +115,10 @@ class GenicamCamera(Camera, ABC):
             if self.features.available(name):
                 self._change(name, value)
         self._change_trigger(settings.trigger)
-        exposure_s = settings.exposure_s
-        if settings.trigger is not Trigger.WIDTH:
-            exposure_s = self._change_exposure(exposure_s)
         self._settings = replace(
             settings,
-            exposure_s=exposure_s,
+            exposure_s=self._change_exposure(settings.exposure_s),
             gain_db=self._change_gain(settings.gain_db),
-            pixel_format=self._format.name,
         )
         return self._settings
 
@@ -187,25 +183,13 @@ class GenicamCamera(Camera, ABC):
             self.features.set(name, value)
             self._changes.append((name, before))
 
-    def _chosen_format(self, name: str | None) -> PixelFormat:
+    def _deepest_format(self) -> PixelFormat:
         names = self.features.entries("PixelFormat")
-        usable = ", ".join(filter(pixel_format, names)) or "none"
-        if name is None:
-            if (best := deepest(names)) is None:
-                raise ValueError(
-                    f"pixel_format: {self.camera} has {', '.join(names)}: none is monochrome or"
-                    " Bayer"
-                )
-            return best
-        layout = pixel_format(name)
-        if layout is None:
+        if (best := deepest(names)) is None:
             raise ValueError(
-                f"pixel_format: {name[:40]} is neither monochrome nor Bayer; {self.camera} has"
-                f" {usable}"
+                f"pixel_format: {self.camera} has {', '.join(names)}: none is monochrome or Bayer"
             )
-        if name not in names:
-            raise ValueError(f"pixel_format: {self.camera} does not have {name}; it has {usable}")
-        return layout
+        return best
 
     def _change_trigger(self, trigger: Trigger) -> None:
         features = self.features
@@ -223,16 +207,13 @@ class GenicamCamera(Camera, ABC):
             self._change("TriggerSelector", "FrameStart")
         self._change("TriggerMode", "On")
         self._change("TriggerSource", self._trigger_source(trigger))
-        mode = "TriggerWidth" if trigger is Trigger.WIDTH else "Timed"
-        modes: tuple[str, ...] = ("Timed",)
         if features.available("ExposureMode"):
             modes = features.entries("ExposureMode")
-        if mode not in modes:
-            raise ValueError(
-                f"trigger: {self.camera} does not expose by {mode}, only by {', '.join(modes)}"
-            )
-        if features.available("ExposureMode"):
-            self._change("ExposureMode", mode)
+            if "Timed" not in modes:
+                raise ValueError(
+                    f"trigger: {self.camera} does not expose by Timed, only by {', '.join(modes)}"
+                )
+            self._change("ExposureMode", "Timed")
         if trigger is not Trigger.SOFTWARE and features.available("TriggerActivation"):
             self._change("TriggerActivation", "RisingEdge")
 
@@ -309,7 +290,6 @@ class GenicamCamera(Camera, ABC):
             values = self._format.unpack(data, shape, padding=padding)
         except ValueError as error:
             raise FrameLostError(f"{self.camera}: incomplete frame {frame_id}: {error}") from None
-        timed = settings.trigger is not Trigger.WIDTH
         return Frame(
             values=values,
             bits=self._format.bits,
@@ -317,7 +297,7 @@ class GenicamCamera(Camera, ABC):
             camera=self.camera,
             serial=self.serial,
             bayer=self._format.bayer,
-            exposure_s=settings.exposure_s if timed else None,
+            exposure_s=settings.exposure_s,
             gain_db=settings.gain_db,
             timestamp_ns=timestamp_ns or None,  # 0 from cameras without a clock
         )

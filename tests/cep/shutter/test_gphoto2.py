@@ -120,7 +120,7 @@ def test_the_speed_is_put_back(photo):
     [
         ({"exposure_s": 2.0}, r"has 0\.0001 to 1 s and no bulb, got 2 s"),
         ({"trigger": Trigger.LINE}, "fired by this computer"),
-        ({"gain_db": 3.0}, "set ISO and quality"),
+        ({"gain_db": 3.0}, "set ISO at"),
     ],
 )
 def test_what_the_camera_cannot_take_is_one_line(camera, settings, line):
