@@ -79,11 +79,6 @@ class ShutterCode:
         object.__setattr__(self, "bits", text)
         object.__setattr__(self, "chip_ns", int(chip_ns))
 
-    @classmethod
-    def from_array(cls, chips: ArrayLike, *, chip_ns: int = 1_000_000) -> ShutterCode:
-        """Make a code from (n,) numbers or booleans, as the constructor does."""
-        return cls(chips, chip_ns)
-
     @property
     def chips(self) -> int:
         """Number of chips, n."""

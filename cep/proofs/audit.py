@@ -421,7 +421,7 @@ def _flipped(code: ShutterCode, places: list[int]) -> ShutterCode | None:
     chips[places] = 1 - chips[places]
     if not chips.any():  # all closed is no code
         return None
-    return ShutterCode.from_array(chips, chip_ns=code.chip_ns)
+    return ShutterCode(chips, chip_ns=code.chip_ns)
 
 
 def _exact(code: ShutterCode, trajectory: Trajectory | None) -> float:

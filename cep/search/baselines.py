@@ -221,7 +221,7 @@ def median_random_code(
         raise ValueError(f"count: must be at least 1, got {count}")
     codes = code_cost.problem.random_codes(count, rng=rng)
     order = np.argsort(_costs(code_cost, codes), kind="stable")
-    return ShutterCode.from_array(codes[order[count // 2]])
+    return ShutterCode(codes[order[count // 2]])
 
 
 def best_snapshot(code_cost: CodeCost, *, within_limits: bool = False) -> ShutterCode | None:
@@ -301,7 +301,7 @@ def best_strobe(code_cost: CodeCost, *, within_limits: bool = False) -> ShutterC
     codes = _strobes_within(problem) if within_limits else _strobes(problem.chips)
     if not len(codes):
         return None
-    return ShutterCode.from_array(codes[int(_costs(code_cost, codes).argmin())])
+    return ShutterCode(codes[int(_costs(code_cost, codes).argmin())])
 
 
 def dnf_problem(

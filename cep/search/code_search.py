@@ -173,7 +173,7 @@ def search_code(
         return _proven_outcome(problem, proven, judge, rivals)
     if interrupted:
         # before the annealing: any code within the limits, if no baseline keeps them
-        code = ShutterCode.from_array(problem.random_codes(1, rng=rng)[0])
+        code = ShutterCode(problem.random_codes(1, rng=rng)[0])
         result = SearchResult(code, judge.exact_cost(code), 0.0, 0, "interrupted")
     else:
         left_s = how.limit_s - (time.monotonic() - started)
@@ -220,12 +220,12 @@ def _starts(problem: SearchProblem, rivals: Iterable[Baseline]) -> list[ShutterC
     codes = []
     for baseline in rivals:
         if baseline.within_limits:
-            codes.append(ShutterCode.from_array(baseline.code.array != 0))
+            codes.append(ShutterCode(baseline.code.array != 0))
             continue
         # None where the walk's table would be too large: that start is left out
         bits = nearest(problem.limits, baseline.code.array != 0)
         if bits is not None:
-            codes.append(ShutterCode.from_array(bits))
+            codes.append(ShutterCode(bits))
     return codes
 
 

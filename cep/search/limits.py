@@ -77,8 +77,8 @@ class RunLimits:
     --------
     A shutter that opens for two chips or more, four times at most:
 
-    >>> RunLimits(min_open=2, max_pulses=4).says_nothing
-    False
+    >>> RunLimits(min_open=2, max_pulses=4).max_pulses
+    4
     """
 
     min_open: int = 1
@@ -93,11 +93,6 @@ class RunLimits:
             unlimited = name in ("max_pulses", "max_open") and value is None
             if not unlimited and (not isinstance(value, int) or value < 1):
                 raise ValueError(f"{name}: must be a whole number of at least 1, got {value!r}")
-
-    @property
-    def says_nothing(self) -> bool:
-        """Whether runs, pulses and their period are free."""
-        return self == RunLimits()
 
     def tightened(self, limits: RunLimits) -> RunLimits:
         """Return the limits of codes that keep these and others.

@@ -278,7 +278,7 @@ class SearchProblem:
     @property
     def limits_runs(self) -> bool:
         """Whether runs, pulses or their period are limited: few flips and swaps are allowed."""
-        return not self.runs.says_nothing
+        return self.runs != RunLimits()
 
     @property
     def mirrors(self) -> bool:

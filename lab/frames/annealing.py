@@ -265,7 +265,7 @@ def _round(
 
 
 def _as_codes(codes: Codes) -> tuple[ShutterCode, ...]:
-    return tuple(ShutterCode.from_array(code) for code in codes)
+    return tuple(ShutterCode(code) for code in codes)
 
 
 class JointFigures(NamedTuple):

@@ -71,7 +71,7 @@ class Judge:
         if not self.sampled_only:
             with np.errstate(divide="ignore"):
                 figures[:, 0] = 20 * np.log10(
-                    [self._minimum(ShutterCode.from_array(code)) for code in codes]
+                    [self._minimum(ShutterCode(code)) for code in codes]
                 )
         return figures
 
@@ -84,7 +84,7 @@ class Judge:
         unit = 1.0 if self._problem.scenarios else float(self._problem.chips)
         return tuple(
             FrontPoint(
-                ShutterCode.from_array(code),
+                ShutterCode(code),
                 unit * 10 ** (low / 20),
                 (
                     -quiet if np.isfinite(low) else np.inf

@@ -199,7 +199,7 @@ class _Search:
             )
             for count, archive in sorted(self.archives.items())
         }
-        unbeaten = {ShutterCode.from_array(code).bits for code in self._unbeaten()}
+        unbeaten = {ShutterCode(code).bits for code in self._unbeaten()}
         points = tuple(p for curve in curves.values() for p in curve if p.code.bits in unbeaten)
         unit = "light-true" if self.problem.scenarios else "chips"
         return Front(

@@ -60,7 +60,7 @@ def best_of_all(problem):
         if lowest[index] <= best:
             break
         # the continuum only lowers what the samples say
-        code = ShutterCode.from_array(codes[index])
+        code = ShutterCode(codes[index])
         exact = (
             problem.measure(code, budget=0).min_mtf if paths else min_chip(code) / problem.chips
         )

@@ -155,7 +155,7 @@ def anneal(
     def tick(moves: int) -> bool:
         budget.moves += moves
         if progress is not None:
-            progress(MOVES_SHARE * budget.share(), ShutterCode.from_array(elites.ranked()[0]))
+            progress(MOVES_SHARE * budget.share(), ShutterCode(elites.ranked()[0]))
         return budget.elapsed() < time_s
 
     try:
@@ -178,7 +178,7 @@ def anneal(
         if progress is not None:
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
-    best = ShutterCode.from_array(elites.ranked()[0])
+    best = ShutterCode(elites.ranked()[0])
     fine = judge or CodeCost(problem, **FINE)
     polished = Polished(best, fine.exact_cost(best), 0.0)
     polished, stopped = budget.polished(

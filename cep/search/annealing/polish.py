@@ -60,7 +60,7 @@ def polish(fine: CodeCost, ranked: Codes, *, swaps: bool = True) -> Iterator[Pol
         evaluated = 4
         climbed = 1
     leaders: list[tuple[float, str, ShutterCode]] = []
-    for code in (ShutterCode.from_array(array) for array in ranked[:evaluated]):
+    for code in (ShutterCode(array) for array in ranked[:evaluated]):
         leaders = sorted([*leaders, (fine.exact_cost(code), code.bits, code)])[:climbed]
         yield Polished(leaders[0][2], leaders[0][0], 0.0)
     best = leaders[0][2]
@@ -87,7 +87,7 @@ def _climb(
         for indices in cheapest(fine, bits, codes, count=_HOPEFUL, below=below):
             hopeful = indices
             yield cost, code
-        candidates = [ShutterCode.from_array(codes[index]) for index in hopeful]
+        candidates = [ShutterCode(codes[index]) for index in hopeful]
         costs = [(fine.exact_cost(candidate), candidate) for candidate in candidates]
         best = min(costs, key=lambda pair: pair[0], default=(cost, code))
         if best[0] >= below:

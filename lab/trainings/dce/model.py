@@ -51,7 +51,7 @@ def binarise(weights: Tensor) -> Tensor:
 
 def code_of(weights: Tensor, *, chip_ns: int = 1_000_000) -> ShutterCode:
     """Shutter code that the weights (n,) stand for."""
-    return ShutterCode.from_array(binarise(weights.detach()).numpy(), chip_ns=chip_ns)
+    return ShutterCode(binarise(weights.detach()).numpy(), chip_ns=chip_ns)
 
 
 def weights_of(code: ShutterCode, *, margin: float) -> Tensor:

@@ -28,7 +28,7 @@ def finer(bits, parts, *, before=0, after=0):
     moved = np.zeros_like(fine)
     for rise, fall in zip(rises, falls, strict=True):
         moved[rise + before : fall + after] = 1
-    return ShutterCode.from_array(moved)
+    return ShutterCode(moved)
 
 
 codes = st.text("01", min_size=1, max_size=14).filter(lambda bits: "1" in bits).map(ShutterCode)

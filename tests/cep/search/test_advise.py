@@ -64,7 +64,7 @@ def random_problem(seed):
         open_range=(low, int(rng.integers(low, chips + 1))),
         runs=RunLimits(min_open=int(rng.integers(1, low + 1))),
     )
-    return problem, [ShutterCode.from_array(code) for code in problem.random_codes(4, rng=rng)]
+    return problem, [ShutterCode(code) for code in problem.random_codes(4, rng=rng)]
 
 
 def best_single_db(problem, frames=1):
@@ -465,7 +465,5 @@ def test_the_published_limit_is_reproduced():
     bound = length_px
     assert np.sqrt(min(runs) / bound) == pytest.approx(LIMIT, abs=2e-3)
     rng = np.random.default_rng(3)
-    drawn = [
-        ShutterCode.from_array(code) for code in along(path, chips).random_codes(200, rng=rng)
-    ]
+    drawn = [ShutterCode(code) for code in along(path, chips).random_codes(200, rng=rng)]
     assert min(noise_of_inversion(code, path) for code in drawn) >= bound

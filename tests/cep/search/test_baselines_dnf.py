@@ -42,7 +42,7 @@ def test_it_beats_every_random_code_on_a_straight_blur():
     rng = np.random.default_rng(1)
     found = dnf_code(30.0, 32, rng=rng, steps=100_000, open_range=(16, 16))
     drawn = dnf_problem(30.0, 32, open_range=(16, 16)).random_codes(50, rng=rng)
-    gains = [noise_db(ShutterCode.from_array(bits).bits, 30.0) for bits in drawn]
+    gains = [noise_db(ShutterCode(bits).bits, 30.0) for bits in drawn]
     assert noise_db(found.bits, 30.0) < min(gains) - 1
 
 
@@ -52,7 +52,7 @@ def test_the_factor_itself_would_ask_for_a_single_chip():
     rng = np.random.default_rng(2)
     codes = [
         ShutterCode("0010"),
-        *(ShutterCode.from_array(bits) for bits in rng.integers(0, 2, (30, 9)) if bits.any()),
+        *(ShutterCode(bits) for bits in rng.integers(0, 2, (30, 9)) if bits.any()),
     ]
     factors_db = [chip_noise_db(code) + 20 * np.log10(code.open_chips) for code in codes]
     assert factors_db[0] == pytest.approx(0, abs=1e-9)

@@ -34,7 +34,7 @@ def test_closed_forms_hold_for_random_codes(size, seed):
     chips, k = size
     bits = np.zeros(chips)
     bits[np.random.default_rng(seed).permutation(chips)[:k]] = 1
-    reached = min_chip(ShutterCode.from_array(bits))
+    reached = min_chip(ShutterCode(bits))
     for values in chip_ceilings(chips, np.array([k])).values():
         assert reached <= values[0] + 1e-9
 
@@ -70,9 +70,7 @@ def test_a_shutter_with_ramps_is_bounded_by_its_light():
     problem = SearchProblem.along(
         accelerated(), chips=7, open_range=(3, 3), direction="forward", response=slow
     )
-    metrics = [
-        problem.measure(ShutterCode.from_array(code), budget=0) for code in all_codes(7, [3])
-    ]
+    metrics = [problem.measure(ShutterCode(code), budget=0) for code in all_codes(7, [3])]
     limits = bound(problem)
     assert max(m.min_mtf for m in metrics) <= limits.min_mtf
     assert min(m.noise_gain_db for m in metrics) >= limits.noise

@@ -162,7 +162,7 @@ def test_no_start_beats_the_frames_returned():
     problem = SearchProblem.along(path, chips=16, open_range=(6, 9), objective="min-mtf")
     fine = CodeCost(problem, oversampling=64, dtype=np.float64)
     codes = problem.random_codes(60, rng=np.random.default_rng(2))
-    starts = [[ShutterCode.from_array(code)] * 2 for code in codes]
+    starts = [[ShutterCode(code)] * 2 for code in codes]
     best = joint_cost(fine, np.repeat(codes[:, None], 2, axis=1)).min()
     found = anneal_frames(
         problem, 2, rng=np.random.default_rng(0), steps=8, start=starts, threads=1

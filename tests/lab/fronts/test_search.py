@@ -33,7 +33,7 @@ def arc():
 
 def all_codes(chips):
     everything = ((np.arange(1, 2**chips)[:, None] >> np.arange(chips)) & 1).astype(np.int8)
-    return [ShutterCode.from_array(bits) for bits in everything]
+    return [ShutterCode(bits) for bits in everything]
 
 
 def on_the_circle(code):

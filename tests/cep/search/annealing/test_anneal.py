@@ -45,7 +45,7 @@ def brute_force(problem):
     for index in np.argsort(sampled):
         if sampled[index] >= best:
             break
-        best = min(best, fine.exact_cost(ShutterCode.from_array(codes[index])))
+        best = min(best, fine.exact_cost(ShutterCode(codes[index])))
     return best
 
 

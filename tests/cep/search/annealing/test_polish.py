@@ -81,6 +81,4 @@ def test_a_polished_code_has_no_better_neighbour(objective):
     assert costs[-1] < costs[2]
     near = neighbours(problem, told[-1].code.array.astype(np.int8), swaps=True)
     hopeful = near[fine.cost_of(near) < costs[-1]]
-    assert all(
-        fine.exact_cost(type(told[-1].code).from_array(one)) >= costs[-1] - 1e-9 for one in hopeful
-    )
+    assert all(fine.exact_cost(type(told[-1].code)(one)) >= costs[-1] - 1e-9 for one in hopeful)

@@ -101,7 +101,7 @@ def test_a_zero_between_the_samples_of_the_moves_is_seen():
     ]
     run_chains(chains, lambda _moves: True, codes.append, threads=1)
     for some in codes:
-        minima = [min_chip(ShutterCode.from_array(code)) for code in some]
+        minima = [min_chip(ShutterCode(code)) for code in some]
         assert minima[-1] >= max(minima) - 0.1
 
 

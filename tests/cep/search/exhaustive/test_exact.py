@@ -50,7 +50,7 @@ def brute_force(problem):
     for index in kept[np.argsort(-sampled[kept])]:
         if sampled[index] <= best:
             break
-        best = max(best, min_chip(ShutterCode.from_array(codes[index])))
+        best = max(best, min_chip(ShutterCode(codes[index])))
     return best
 
 
