@@ -211,14 +211,7 @@ def median_random_code(
     """Draw ``count`` codes within the limits, all equally likely: the one of the median cost.
 
     Of an even number, the worse of the two in the middle.
-
-    Raises
-    ------
-    ValueError
-        If the count is below 1.
     """
-    if count < 1:
-        raise ValueError(f"count: must be at least 1, got {count}")
     codes = code_cost.problem.random_codes(count, rng=rng)
     order = np.argsort(_costs(code_cost, codes), kind="stable")
     return ShutterCode(codes[order[count // 2]])
@@ -321,14 +314,12 @@ def dnf_problem(
     Raises
     ------
     ValueError
-        If the length is negative or not finite, or the limits conflict.
+        If the limits conflict.
 
     References
     ----------
     Agrawal and Raskar, "Optimal single image capture for motion deblurring", CVPR 2009.
     """
-    if not (np.isfinite(length_px) and length_px >= 0):
-        raise ValueError(f"length_px: must be 0 or more, got {length_px}")
     straight = Trajectory.straight(max(_SHORTEST_PX, float(length_px)))
     return SearchProblem.along(
         straight, chips=chips, open_range=open_range, objective="noise", runs=runs or RunLimits()

@@ -53,11 +53,6 @@ class Link:
     def __init__(
         self, port: SerialPort, *, name: str, timeout_s: float = 0.15, attempts: int = 12
     ) -> None:
-        if not timeout_s > 0 or attempts < 1:
-            raise ValueError(
-                f"timeout_s is {timeout_s} and attempts is {attempts}: above 0 and at least 1 are"
-                " needed"
-            )
         self.name = name
         self.framing = BINARY
         self.timeout_s = timeout_s
@@ -245,12 +240,7 @@ def open_link(
     LinkError
         If the device disappears while it is greeted.
     """
-    serial_port = open_port(port)
-    try:
-        link = Link(serial_port, name=port, timeout_s=timeout_s, attempts=attempts)
-    except ValueError:
-        serial_port.close()
-        raise
+    link = Link(open_port(port), name=port, timeout_s=timeout_s, attempts=attempts)
     try:
         return link, link.hello(hello_s=hello_s)
     except BaseException:

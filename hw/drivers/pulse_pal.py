@@ -89,8 +89,6 @@ class PulsePalLink:
     """
 
     def __init__(self, port: SerialPort, *, name: str, timeout_s: float = 0.5) -> None:
-        if not timeout_s > 0:
-            raise ValueError(f"timeout_s is {timeout_s}: above 0 is needed")
         self.name = name
         self.timeout_s = timeout_s
         self.retries = 0

@@ -164,8 +164,6 @@ class ScpiAwg(WriteOnlyDevice):
         timeout_s : float
             How long to wait for an answer.
         """
-        if not timeout_s > 0:
-            raise ValueError(f"timeout_s is {timeout_s}: above 0 is needed")
         try:
             import pyvisa
         except ImportError:

@@ -199,15 +199,8 @@ class ConditionNetwork(nn.Module):
         Raises
         ------
         ValueError
-            If an input is missing, not wanted or of the wrong shape.
+            If an input is of the wrong shape.
         """
-        _check_presence("photo", photo, self.photo)
-        _check_presence("physics", physics, self.physics)
-        if photo is not None and physics is not None and photo.shape[-2:] != (PHOTO_PX, PHOTO_PX):
-            raise ValueError(
-                f"photo has shape {tuple(photo.shape)}; with physics maps it must be (B, 3,"
-                f" {PHOTO_PX}, {PHOTO_PX})"
-            )
         encodings: list[Tensor] = []
         if self.physics is not None:
             encodings.append(self.physics(physics))  # (B, physics_width, 64, 64)
@@ -215,10 +208,3 @@ class ConditionNetwork(nn.Module):
             z_1 = self.photo(photo)  # (B, width, H/4, W/4)
             encodings.append(z_1 if self.fusion is None else self.fusion(z_1))
         return sum(encodings[1:], start=encodings[0])
-
-
-def _check_presence(name: str, value: Tensor | None, encoder: nn.Module | None) -> None:
-    if encoder is not None and value is None:
-        raise ValueError(f"{name} is None; this network needs it")
-    if encoder is None and value is not None:
-        raise ValueError(f"{name} must be None for this network")

@@ -97,22 +97,7 @@ class Denoiser(nn.Module):
         Returns
         -------
         (B, 1 or 2, H, W) float
-
-        Raises
-        ------
-        ValueError
-            If the shapes do not belong together.
         """
-        batch, _, height, width = condition.shape
-        shape = (batch, 1, self.pitch * height, self.pitch * width)
-        if x_t.shape != shape:
-            raise ValueError(
-                f"x_t has shape {tuple(x_t.shape)}; with this condition it must be {shape}"
-            )
-        if t.shape != (batch,):
-            raise ValueError(
-                f"t has shape {tuple(t.shape)}; it must be ({batch},), one timestep per map"
-            )
         time = self.time(t)  # (B, time_width)
         # eq. 5: Enc(x_t, t) beside the condition, then Dec
         x = functional.relu(self.enter(x_t))  # (B, width, H/4, W/4)

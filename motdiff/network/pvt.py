@@ -54,10 +54,6 @@ class PyramidVisionTransformer(nn.Module):
 
     def __init__(self, variant: str, *, stages: int = 4) -> None:
         super().__init__()
-        if variant not in VARIANTS:
-            raise ValueError(f"variant is {variant!r}; it must be one of {', '.join(VARIANTS)}")
-        if stages not in (1, 2, 3, 4):
-            raise ValueError(f"stages is {stages!r}; it must be 1, 2, 3 or 4")
         dims, depths, mlp_ratios = VARIANTS[variant]
         self.channels = dims[:stages]
         self.patch_embed = _PatchEmbedding(3, dims[0], kernel=7, stride=4)

@@ -131,6 +131,7 @@ def crops(
     Parameters
     ----------
     photos : sequence of (3, H, W) uint8
+        None smaller than the crops.
     count, size : int
         Number of crops; their side, px.
     generator : torch.Generator
@@ -139,18 +140,7 @@ def crops(
     Returns
     -------
     (count, 3, size, size) float32, display values 0..1, on the photos' device
-
-    Raises
-    ------
-    ValueError
-        If a photo is smaller than the crops.
     """
-    shortest = min(min(photo.shape[1:]) for photo in photos)
-    if shortest < size:
-        raise ValueError(
-            f"photos: must be at least {size} x {size} px for such crops, got a side of"
-            f" {shortest} px"
-        )
     # corners as shares: the draws do not depend on the photos' sizes
     indices = torch.randint(len(photos), (count,), generator=generator).tolist()
     corners = torch.rand(count, 2, generator=generator).tolist()

@@ -156,15 +156,8 @@ def jpeg_loss(photos: Tensor, quality: Tensor) -> Tensor:
     Returns
     -------
     (B, C, H, W) float, 0..1, not rounded to 8 bits
-
-    Raises
-    ------
-    ValueError
-        If a side is no multiple of 8.
     """
     batch, channels, height, width = photos.shape
-    if height % 8 or width % 8:
-        raise ValueError(f"photos: sides must be multiples of 8, got {width} x {height}")
     cosine = _cosine_matrix(photos)
     table = torch.tensor(_TABLE, dtype=photos.dtype, device=photos.device)
     clamped = quality.clamp(1, 100)

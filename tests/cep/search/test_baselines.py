@@ -149,8 +149,3 @@ def test_the_random_code_is_the_median_of_codes_within_the_limits(count):
     costs = np.sort(judge.cost_of(drawn))
     # of an even number, the worse of the two in the middle
     assert cost(judge, code) == pytest.approx(costs[count // 2], abs=1e-4)
-
-
-def test_no_random_codes_are_refused():
-    with pytest.raises(ValueError, match=r"^count: must be at least 1, got 0"):
-        median_random_code(objective(BENT, 8), 0, rng=np.random.default_rng(0))

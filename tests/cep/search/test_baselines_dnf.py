@@ -81,9 +81,3 @@ def test_a_path_without_length_is_designed_for_like_one_of_a_pixel():
         for length_px in (0.0, 1.0)
     ]
     assert codes[0] == codes[1]
-
-
-@pytest.mark.parametrize("length_px", [-1.0, float("nan"), float("inf")])
-def test_no_length_is_refused(length_px):
-    with pytest.raises(ValueError, match=r"^length_px: must be 0 or more"):
-        dnf_code(length_px, 8, rng=np.random.default_rng(0))

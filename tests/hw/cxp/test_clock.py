@@ -58,13 +58,6 @@ def test_a_restart_is_noticed():
         fit_clock(cut)
 
 
-def test_too_little_to_fit():
-    with pytest.raises(ValueError, match="readings are 7"):
-        fit_clock(readings(0)[:7])
-    with pytest.raises(ValueError, match="one moment"):
-        fit_clock([(1.0, 1.0, 0)] * 8)
-
-
 def test_a_controllers_clock_over_a_noisy_line():
     faults = Faults(noise=0.002, seed=2)
     with (

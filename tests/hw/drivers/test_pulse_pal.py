@@ -370,19 +370,6 @@ def test_missing_and_busy_ports(tmp_path):
         PulsePal.open(device.port)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"timeout_s": 0}, "timeout_s is 0"),
-    ],
-)
-def test_bad_options(options, words):
-    with Device() as device:
-        with pytest.raises(ValueError, match=words):
-            PulsePal.open(device.port, **options)
-        open_port(device.port).close()
-
-
 @pytest.mark.parametrize("firmware", [20, 21, 22])
 def test_firmware_that_works(firmware):
     with Device(firmware=firmware) as device, PulsePal.open(device.port) as driver:

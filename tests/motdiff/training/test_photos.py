@@ -174,12 +174,3 @@ def test_crops_repeat_with_the_seed():
     assert 0 <= float(first.min()) <= float(first.max()) <= 1
     assert torch.equal(first, cut(photos, count=6, size=16, seed=4))
     assert not torch.equal(first, cut(photos, count=6, size=16, seed=5))
-
-
-def test_photos_smaller_than_the_crops_are_refused():
-    photos = [torch.zeros(3, 50, 50, dtype=torch.uint8), torch.zeros(3, 40, 30, dtype=torch.uint8)]
-    with pytest.raises(
-        ValueError,
-        match=r"^photos: must be at least 32 x 32 px for such crops, got a side of 30 px$",
-    ):
-        cut(photos, count=1, size=32)

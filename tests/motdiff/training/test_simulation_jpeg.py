@@ -127,11 +127,3 @@ def test_photos_stored_channel_last_are_read_right():
     quality = torch.tensor([60.0], dtype=torch.float64)
     last = photos.to(memory_format=torch.channels_last)
     torch.testing.assert_close(jpeg_loss(last, quality), jpeg_loss(photos, quality))
-
-
-@pytest.mark.parametrize("shape", [(12, 16), (16, 12)])
-def test_sides_that_are_no_multiples_of_8_are_refused(shape):
-    with pytest.raises(
-        ValueError, match=f"^photos: sides must be multiples of 8, got {shape[1]} x {shape[0]}$"
-    ):
-        jpeg_loss(torch.zeros(1, 1, *shape), torch.tensor([75.0]))
