@@ -205,7 +205,7 @@ class Trainer:
         checkpoint.restore_adam(self._adam, self.network)
         self.step = checkpoint.step
         self.seconds = checkpoint.seconds
-        self.loss = float(checkpoint.tensors.get("loss", math.nan))  # earlier versions lack it
+        self.loss = float(checkpoint.tensors["loss"])
         return True
 
     def losses(self, batch: Batch, generator: torch.Generator) -> tuple[Tensor, Tensor]:

@@ -231,10 +231,7 @@ def load_shards(
     ValueError
         If there are none, or one is damaged.
     """
-    # partial ones are of earlier versions
-    files = sorted(
-        file for file in Path(folder).glob(f"{name}_*.npz") if ".partial" not in file.suffixes
-    )
+    files = sorted(Path(folder).glob(f"{name}_*.npz"))
     if not files:
         raise ValueError(f"{folder}: holds no {missing}")
     return [_loaded(file, load) for file in files]

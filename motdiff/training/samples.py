@@ -103,8 +103,6 @@ def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
     -------
     (B, 2) int64, HR-map pixels down and right; 0 where every kernel is wrong
     """
-    if kernels.shape[1] == 0:
-        return torch.zeros(len(dwell), 2, dtype=torch.int64, device=dwell.device)
     fine = functional.interpolate(kernels, scale_factor=MAP_PITCH, mode="nearest")
     # both smoothed alike, so that a thin path and a blocky kernel overlap
     fine = functional.avg_pool2d(fine, 5, 1, 2)

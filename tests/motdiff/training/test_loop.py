@@ -13,7 +13,7 @@ from motdiff.network.diffusion import cosine_schedule, denoising_loss, dwell_los
 from motdiff.network.physics_maps import spectral_maps
 from motdiff.network.sampling import sample_paths
 from motdiff.training import loop as module
-from motdiff.training.checkpoint import read_checkpoint, write_checkpoint
+from motdiff.training.checkpoint import read_checkpoint
 from motdiff.training.config import DataConfig, LossConfig, OptimiserConfig, TrainingConfig
 from motdiff.training.data import Batch, LiveSource
 from motdiff.training.loop import Trainer, learning_rate, loss_of
@@ -162,18 +162,6 @@ def test_the_loss_is_smoothed_over_the_whole_run():
     for losses in told[1:]:
         smoothed = 0.95 * smoothed + 0.05 * losses.total
     assert trainer.loss == told[-1].smoothed == pytest.approx(smoothed)
-
-
-def test_a_checkpoint_of_before_the_loss_was_kept(tmp_path):
-    trainer = Trainer(VARIANTS["plain"])
-    train(trainer, 2)
-    kept = saved(trainer, tmp_path / "checkpoint")
-    earlier = {name: tensor for name, tensor in kept.tensors.items() if name != "loss"}
-    write_checkpoint(tmp_path / "checkpoint", replace(kept, tensors=earlier))
-    second = Trainer(VARIANTS["plain"])
-    assert second.resume(tmp_path / "checkpoint")
-    (losses,) = train(second, 1)
-    assert losses.smoothed == losses.total
 
 
 def test_nothing_to_resume(tmp_path):

@@ -132,8 +132,6 @@ def test_an_interrupted_write_leaves_nothing(
         with pytest.raises(KeyboardInterrupt):
             write(folder, scenes, range(1, 2))
     assert [item.name for item in folder.iterdir()] == ["shard_00000.npz"]
-    (folder / "shard_00001.partial.npz").write_bytes(b"half an arch")  # of earlier versions
-    assert len(read_shards(folder)) == 2
 
 
 def read_as_simulated(folder):
@@ -153,7 +151,6 @@ def test_shards_are_read_in_the_order_of_their_numbers(complete, tmp_path):
 
 
 def test_a_folder_without_shards_is_refused(tmp_path):
-    (tmp_path / "shard_00000.partial.npz").write_bytes(b"half an arch")
     for folder in (tmp_path, tmp_path / "nowhere"):
         with pytest.raises(ValueError, match=f"^{folder}: holds no prepared samples"):
             read_shards(folder)

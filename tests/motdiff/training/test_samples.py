@@ -124,11 +124,6 @@ def test_registration_does_not_depend_on_the_kernels_scale(bank):
     assert torch.equal(registration(1000 * kernels, dwell), registration(kernels, dwell))
 
 
-def test_without_kernels_nothing_moves(bank):
-    _, _, dwell = bank.targets(torch.arange(3))
-    assert registration(torch.zeros(3, 0, 64, 64), dwell).tolist() == [[0, 0]] * 3
-
-
 # ---- simulation
 
 
