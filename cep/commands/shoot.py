@@ -252,7 +252,7 @@ def _arm(options: ShootOptions, count: str) -> None:
     """Play on every trigger of a belt."""
     import math
 
-    from cep.shutter.belt import play_on_triggers
+    from cep.shutter.play import play_on_triggers
 
     assert options.port is not None
     plays = None if count == "always" else int(count) if count.isdecimal() else 0

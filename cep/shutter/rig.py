@@ -13,17 +13,13 @@ from cep.optics.code import ShutterCode
 from cep.shutter.burst import BurstCamera
 from cep.shutter.exposure_plan import ExposurePlan, ShotSettings
 from cep.shutter.frame_light import CLIPPED_SHARE, FrameLight, clipped_share
+from cep.shutter.play import HEARTBEAT_S, LEASE_MS
 from cep.shutter.release import Release, checked_release
 from cep.shutter.twin import TwinCamera
 from hw.cameras.camera import Camera, CameraSettings, Frame, FrameLostError, Trigger
 from hw.cxp.protocol import State, Status
 from hw.drivers.cxp import Controller
 from motdiff.types import FloatArray
-
-LEASE_MS = 1000
-"""An armed controller disarms itself after this without its host, ms."""
-HEARTBEAT_S = LEASE_MS / 4000
-"""So often the host renews that."""
 
 _READY_S = 2.0
 _READOUT_S = 3.0  # from the end of exposure until the frame is here
