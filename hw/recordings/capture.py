@@ -415,17 +415,7 @@ class _Signal:
         self._edges: list[tuple[float, int]] = []
 
     def set(self, value: str, time_ns: float, *, initial: bool) -> None:
-        """Take the value at a moment; what is neither 0 nor 1 leaves the level as it is.
-
-        Parameters
-        ----------
-        value : str
-            ``"0"``, ``"1"``, or anything else for no known level.
-        time_ns : float
-            Its moment.
-        initial : bool
-            Whether this is the level that the recording begins with.
-        """
+        """Take the value at a moment; what is neither 0 nor 1 leaves the level as it is."""
         if value not in ("0", "1"):
             return
         level = int(value)

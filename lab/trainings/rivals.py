@@ -19,11 +19,11 @@ from motdiff import __main__ as motdiff_commands
 from motdiff.network import NetworkConfig
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.psf_frame import PSF_PX
+from motdiff.tracing.quadratic import HAT_VARIANCE_PX2
 from motdiff.training.data import Batch
 from motdiff.training.loop import Trainer, blanked
 
 _POINTS = 64  # dots along a path
-_HAT_VARIANCE_PX2 = 1 / 6  # of the bilinear hat through which PSFs see the path
 _BLURS_PX = (0.6, 1.8, 5.0)  # the sharpest is nearly MNC; the others pull from farther away
 
 
@@ -61,7 +61,7 @@ class PathTrainer(Trainer):
         """PSF (B, 64, 64) of each photo's path, which is no draw."""
         del steps, generator
         paths: Tensor = self.average(batch.photo, batch.physics)
-        psfs = path_psfs(paths, torch.zeros_like(paths[:, 0]), variance_px2=_HAT_VARIANCE_PX2)
+        psfs = path_psfs(paths, torch.zeros_like(paths[:, 0]), variance_px2=HAT_VARIANCE_PX2)
         return psfs / psfs.sum(dim=(1, 2), keepdim=True)
 
 
@@ -113,7 +113,7 @@ def path_loss(coefficients: Tensor, dwell: Tensor) -> Tensor:
     centre_px = torch.stack([truth.sum(dim=1) @ x, truth.sum(dim=2) @ x], dim=1)
     losses = []
     for blur_px in _BLURS_PX:
-        psfs = path_psfs(coefficients, centre_px, variance_px2=blur_px**2 + _HAT_VARIANCE_PX2)
+        psfs = path_psfs(coefficients, centre_px, variance_px2=blur_px**2 + HAT_VARIANCE_PX2)
         blur = torch.exp(-(x[:, None] - x[None, :]).square() / (2 * blur_px**2))
         losses.append(1 - _peak_correlation(psfs, blur @ truth @ blur))
     return torch.stack(losses).mean()

@@ -267,24 +267,9 @@ def _replace_all(
     """Rename files to their places, and remove others: all, or when a step fails, none.
 
     All files are on the disk before the first is renamed: a full one is noticed while nothing has
-    changed.
-
-    Parameters
-    ----------
-    new : mapping
-        From a place to the file that goes there, on the same file system.
-    remove : iterable of paths
-        Files that go, where they exist.
-    force : bool
-        Whether files at the places are replaced.
-
-    Raises
-    ------
-    ValueError
-        If a file is at a place and ``force`` is not given, be it since a moment ago: another
-        process wrote it.
-    OSError
-        If a file cannot be renamed. A note names what could not be restored, and where it is kept.
+    changed. ``new`` has for each place the file that goes there, on the same file system. Without
+    ``force`` a ValueError says which place is taken, be it since a moment ago by another process;
+    on an OSError a note names what could not be restored, and where it is kept.
     """
     removed = [place for place in remove if os.path.lexists(place)]
     for temporary in new.values():

@@ -17,6 +17,7 @@ from scipy import optimize
 
 from motdiff.metrics import path_distance_px
 from motdiff.tracing.path_otf import KernelLikeness, PathOtf
+from motdiff.tracing.quadratic import HAT_VARIANCE_PX2
 from motdiff.trajectory import Trajectory, bilinear_otf
 from motdiff.types import FloatArray
 
@@ -44,7 +45,6 @@ _CLIMBED_ON = 4
 _COARSE_STEPS = 25
 _FINE_STEPS = 40
 _LAST_STEPS = 160
-_HAT_VARIANCE_PX2 = 1 / 6  # of a pixel's bilinear hat
 _LEAST_VARIANCE_PX2 = 0.05
 _SAME_ORDER_PX = 2.0  # distance, at equal arc length, between paths of one order
 
@@ -195,7 +195,7 @@ def _moments(light: FloatArray) -> tuple[FloatArray, FloatArray]:
     x, y = columns - middle[0], rows - middle[1]
     mixed = y @ light @ x
     spread = np.array([[light.sum(axis=0) @ x**2, mixed], [mixed, light.sum(axis=1) @ y**2]])
-    variances, axes = np.linalg.eigh(spread - _HAT_VARIANCE_PX2 * np.eye(2))
+    variances, axes = np.linalg.eigh(spread - HAT_VARIANCE_PX2 * np.eye(2))
     return middle, (axes * np.maximum(variances, _LEAST_VARIANCE_PX2)) @ axes.T
 
 
