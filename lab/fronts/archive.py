@@ -70,9 +70,7 @@ class Judge:
         figures = self._figures(self._fine[:2], codes)
         if not self.sampled_only:
             with np.errstate(divide="ignore"):
-                figures[:, 0] = 20 * np.log10(
-                    [self._minimum(ShutterCode(code)) for code in codes]
-                )
+                figures[:, 0] = 20 * np.log10([self._minimum(ShutterCode(code)) for code in codes])
         return figures
 
     def points(self, codes: Sequence[Codes]) -> tuple[FrontPoint, ...]:
