@@ -38,9 +38,9 @@ motion = cep.Trajectory.straight(24.0)
 LIGHT = (300.0, 1_000.0, 3_000.0, 10_000.0, 30_000.0, 100_000.0)
 
 
-def advice(camera):
+def advice(camera, **options):
     problem = cep.SearchProblem.along(motion, chips=24, camera=camera, exposure_s=1 / 30)
-    return cep.advise(problem, levels=LIGHT, threads=1)
+    return cep.advise(problem, levels=LIGHT, threads=1, **options)
 
 
 known = {
@@ -77,14 +77,14 @@ assert np.allclose(variance_e2, np.array([2_500, 10_000]) + 20**2, rtol=1e-3)
 # ## The map
 #
 # Gain of the best code over the better of the open shutter and the best single exposure, over
-# light and read noise. The diamonds are the three cameras. An 8-bit camera stands higher than its
-# read noise, for its code step of $q$ electrons adds a noise of $q/\sqrt{12}$.
+# light and read noise, here by the model of photographs alone. The diamonds are the three cameras.
+# An 8-bit camera stands higher than its read noise, for its code step of $q$ electrons adds a
+# noise of $q/\sqrt{12}$.
 
 # %%
 READ_NOISE = (2.0, 10.0, 50.0, 200.0)
-tables = [
-    advice(cep.Camera(photons_full_scale=LIGHT[0], read_noise_e=e, bits=16)) for e in READ_NOISE
-]
+cameras = [cep.Camera(photons_full_scale=LIGHT[0], read_noise_e=e, bits=16) for e in READ_NOISE]
+tables = [advice(camera, photographs=()) for camera in cameras]
 gains = np.array([[level.code_gain_db for level in one.levels] for one in tables])
 figure, axes = plt.subplots(figsize=(8, 4), layout="constrained")
 shown = axes.imshow(
