@@ -15,6 +15,7 @@ from motdiff.trajectory import Trajectory
 
 PATH = Trajectory.from_samples([[0, 0], [5, 0], [9, 2], [11, 6], [11, 11]])
 CODES = ("1111111111111111", "1101000101101110")
+SCENE = 0.1 + 0.8 * np.kron(np.random.default_rng(3).random((24, 24)), np.ones((8, 8)))
 
 
 @pytest.fixture
@@ -22,20 +23,29 @@ def photos(tmp_path, monkeypatch):
     """Two photos of a scene along a bent path, open and coded."""
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(3)
-    scene = 0.1 + 0.8 * np.kron(rng.random((34, 34)), np.ones((8, 8)))
     for name, code in zip(("open.png", "coded.png"), CODES, strict=True):
-        write_image(name, capture(scene, PATH, ShutterCode(code), rng=rng), bits=16)
+        write_image(name, capture(SCENE, PATH, ShutterCode(code), rng=rng), bits=16)
     return tmp_path
 
 
-@pytest.mark.slow(reason="two blind searches and a fit")
-def test_path_comes_with_its_order_in_time(cep, photos):
-    found = cep.succeeds(
-        "calibrate", "open.png", "coded.png", "--code", "open", "--code", CODES[1], "-o", "motion"
+@pytest.mark.slow(reason="a blind search, and two with a fit")
+def test_the_code_of_the_next_photo_is_chosen_and_tells_the_order(cep, photos):
+    first = cep.succeeds(
+        "calibrate", "open.png", "--next", "next.json", "--chips", "16", "-o", "motion"
     )
-    assert found["direction"] == "known"
-    assert 0 < found["order_confidence"] < 1
-    motion = read_motion(found["trajectory"])
+    code = read_code("next.json").code
+    assert first["next"]["bits"] == code.bits
+    assert len(code.bits) == 16
+    write_image("second.png", capture(SCENE, PATH, code, rng=np.random.default_rng(4)), bits=16)
+    two = ("open.png", "second.png", "--code", "open", "--code", "next.json")
+    second = cep.succeeds(
+        "calibrate", *two, "--next", "third.json", "--sure", "0.01", "-o", "motion_2"
+    )
+    assert second["next"] is None
+    assert not Path("third.json").exists()
+    assert second["direction"] == "known"
+    assert 0 < second["order_confidence"] < 1
+    motion = read_motion(second["trajectory"])
     times = np.linspace(0, 1, 101)
     apart = [
         path.at(times) - PATH.at(times)
@@ -43,26 +53,7 @@ def test_path_comes_with_its_order_in_time(cep, photos):
     ]
     forward, backward = (np.sqrt(((d - d.mean(axis=0)) ** 2).sum(axis=1).mean()) for d in apart)
     assert forward < 1 < backward
-    assert motion.source["codes"] == list(CODES)
-
-
-@pytest.mark.slow(reason="a blind search, and two with a fit")
-def test_the_code_of_the_next_photo_is_chosen_until_the_order_is_sure(cep, photos):
-    first = cep.succeeds(
-        "calibrate", "open.png", "--next", "next.json", "--chips", "16", "-o", "motion"
-    )
-    code = read_code("next.json").code
-    assert first["next"]["bits"] == code.bits
-    assert len(code.bits) == 16
-    scene = 0.1 + 0.8 * np.kron(np.random.default_rng(3).random((34, 34)), np.ones((8, 8)))
-    write_image("second.png", capture(scene, PATH, code, rng=np.random.default_rng(4)), bits=16)
-    two = ("open.png", "second.png", "--code", "open", "--code", "next.json")
-    second = cep.succeeds(
-        "calibrate", *two, "--next", "third.json", "--sure", "0.01", "-o", "motion_2"
-    )
-    assert second["direction"] == "known"
-    assert second["next"] is None
-    assert not Path("third.json").exists()
+    assert motion.source["codes"] == ["1" * 16, code.bits]
 
 
 @pytest.mark.parametrize(
