@@ -93,7 +93,6 @@ def test_a_lone_photo_needs_no_number() -> None:
 # -- from given kernels ---------------------------------------------------------------------------
 
 
-@pytest.mark.slow  # fits of a path in time
 @SLOW
 def test_order_and_direction_are_found(shots, gray_codes) -> None:
     path = loop_path()
@@ -112,10 +111,9 @@ def test_order_and_direction_are_found(shots, gray_codes) -> None:
     assert told[-1] == pytest.approx(1)
 
 
-@pytest.mark.slow  # fits of a path in time
 @SLOW
 def test_brightness_shifts_and_the_order_of_the_photos_do_not_matter(shots, gray_codes) -> None:
-    path = loop_path()
+    path = loop_path().reversed()  # the other way than in the test above
     codes = gray_codes(52, 2)
     taken = shots(
         path,
@@ -126,15 +124,8 @@ def test_brightness_shifts_and_the_order_of_the_photos_do_not_matter(shots, gray
     )
     found = estimate(taken)
     assert error_px(found.best, path) < 0.3
+    assert error_px(found.best.reversed(), path) > 3
     assert found.details["misfit"] == pytest.approx(1, abs=0.25)
-
-
-@pytest.mark.slow  # fits of a path in time
-@SLOW
-def test_a_path_backwards_is_found_backwards(shots, gray_codes) -> None:
-    path = loop_path().reversed()
-    found = estimate(shots(path, (OPEN, *gray_codes(52, 2)), side_px=144))
-    assert error_px(found.best, path) < 0.3
 
 
 @SLOW
@@ -176,7 +167,6 @@ def test_a_path_lost_in_its_error_is_doubted(shots) -> None:
     assert any("may not have moved" in warning for warning in found.warnings)
 
 
-@pytest.mark.slow  # fits of a path in time
 @SLOW
 def test_the_seed_alone_decides(shots) -> None:
     # one photo, whose kernel leaves many paths: the quickest search
@@ -188,7 +178,6 @@ def test_the_seed_alone_decides(shots) -> None:
     assert np.abs(first.best.xy - other.best.xy).max() > 0
 
 
-@pytest.mark.slow  # fits of a path in time
 @SLOW
 def test_photos_of_another_motion_are_doubted(shots, gray_codes) -> None:
     path = loop_path()
