@@ -14,7 +14,7 @@ from motdiff.trajectory import Trajectory
 CODES = (ShutterCode("110100010110111011010001"), ShutterCode("1" * 12 + "0" * 12))
 PATH = Trajectory.from_samples([[0, 0], [5, 0], [9, 2], [11, 6], [11, 11]], direction="known")
 CAMERA = Camera(photons_full_scale=1e6, read_noise_e=3000)
-SCENE = 0.1 + 0.8 * np.kron(np.random.default_rng(3).random((30, 30)), np.ones((8, 8)))
+SCENE = 0.1 + 0.8 * np.kron(np.random.default_rng(3).random((20, 20)), np.ones((8, 8)))
 
 
 def photos_along(path):
@@ -104,7 +104,7 @@ class OfScenes:
 def test_among_photos_of_different_scenes_the_coded_one_decides_the_order_to_beat():
     """An open shutter shows no order: the true path, given backwards, would be bettered by its
     reverse."""
-    other = 0.1 + 0.8 * np.kron(np.random.default_rng(8).random((30, 30)), np.ones((8, 8)))
+    other = 0.1 + 0.8 * np.kron(np.random.default_rng(8).random((20, 20)), np.ones((8, 8)))
     codes = (ShutterCode("1" * CODES[0].chips), CODES[0])
     rng = np.random.default_rng(1)
     photos = [
