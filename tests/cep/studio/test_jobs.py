@@ -318,7 +318,6 @@ def test_a_cancelled_photo_closes_the_shutter_and_frees_the_camera(setting, tmp_
     ("changes", "field", "words"),
     [
         ({"camera": "leica:"}, "shot_camera", "kind 'leica' is not known; known are"),
-        ({"camera": "twin"}, "shot_camera", "has no colon"),
         ({"camera": "twin:scene=no.png"}, "shot_camera", "is no file, and none of"),
         ({"camera": "folder:.", "port": "/dev/no"}, "shot_port", "/dev/no cannot be opened"),
     ],
