@@ -59,7 +59,7 @@ _CHILDREN = 32  # of a round
 # in turn: a child far from a minimum comes to one loosely, one nearby is led away by that
 _CHILD_SCHEDULES: tuple[Schedule, ...] = (
     ((LOOSE, 2, 20), (MIDDLE, 3, 8), (FINEST, 4, 8)),
-    ((NEAR, 1, 16), (NEAR, 2, 8), (FINEST, 4, 8)),
+    ((MIDDLE, 4, 16), (NEAR, 4, 8), (FINEST, 4, 8)),
 )
 _RESULTS = 6  # handed on with all knots
 _LAST: Schedule = ((FINEST, 4, 4), (FINEST, 21, 4))
