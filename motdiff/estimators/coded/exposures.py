@@ -25,7 +25,7 @@ _SAME_SCENE = 0.8  # correlation of two photos beyond their blur
 _BLUR_PX = 12.0  # sigma: beyond it, blurs of the usual length hardly show
 _TRUSTED = 0.5  # confidence in a kernel
 _LEAST_TRUST = 0.15  # confidence: no kernel is left out altogether
-_LEAST_INSIDE_PX = 96  # of a photo without its borders
+_LEAST_INSIDE_PX = 64  # of a photo without its borders
 
 
 @dataclass(frozen=True)
