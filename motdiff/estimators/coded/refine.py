@@ -48,8 +48,8 @@ class RefinedPath:
     given_misfit, misfit : float
         Of the photos, before and after, as a multiple of what noise alone leaves; NaN where only
         kernels are compared.
-    values : int
-        Number of values that the misfit is the mean of.
+    values : float
+        Sum of squares that noise alone leaves, the unit of the misfits; 0 beside kernels.
     deviation_px : float
         Expected error of the refined path, rms over time.
     """
@@ -59,7 +59,7 @@ class RefinedPath:
     cost: float
     given_misfit: float
     misfit: float
-    values: int
+    values: float
     deviation_px: float
 
 
@@ -182,7 +182,7 @@ class _RefiningFit(PhotoFit):
                 cost=sum(float(term.cost(x)) for term in terms),
                 given_misfit=given_misfit,
                 misfit=self.misfit(x),
-                values=scene.values if scene else 0,
+                values=scene.values if scene else 0.0,
                 deviation_px=_ERROR_RATIO * factor * float(np.sqrt((knots_px**2).mean())),
             )
 
