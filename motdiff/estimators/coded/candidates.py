@@ -23,6 +23,7 @@ UNEXPLAINED = 1.25
 """Misfit above which a path does not explain the photos."""
 SAME_PX = 1.0
 """Rms distance within which two paths count as one."""
+_DOUBTFUL = 0.75  # probability below which a warning asks for another photo
 _MOST_PATHS = 3  # the best, and alternatives
 _MISFIT_POWER = 4.0  # so steep that a misfit of 1.5 leaves a fifth
 
@@ -233,7 +234,7 @@ def motion_of_paths(
     )
     psf_warnings = [*unexplained_warnings(best.misfit), *warnings]
     all_warnings = list(psf_warnings)
-    if probability < 0.5:
+    if probability < _DOUBTFUL:
         all_warnings.insert(
             0,
             f"the order in time is uncertain (confidence {probability:.2f}): take another photo of"

@@ -30,8 +30,8 @@ _FIT_SHARE = 0.8  # the search of the path
 # below both
 _ONE_PHOTO = 0.05
 _DEARER = (75.0, 40.0)
-_SHARES_AGREED = (0.97, 0.85, 0.4)
-_SHARES_ALONE = (0.8, 0.15, 0.15)
+_SHARES_AGREED = (0.97, 0.85, 0.7)
+_SHARES_ALONE = (0.8, 0.4, 0.4)
 _ERROR_RATIO = 2.8  # of true to computed error
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
 _KERNELS_ALONE = 0.3

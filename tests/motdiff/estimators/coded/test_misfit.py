@@ -125,6 +125,18 @@ def test_the_true_motion_leaves_the_noise_alone(shots, sigma: float) -> None:
     assert relative(term, vector(TRUTH.xy[::-1], gains=np.ones(4))) > 3
 
 
+def test_paths_have_nothing_to_explain_in_noise(noisy) -> None:
+    rng = np.random.default_rng(0)
+    photos = [0.5 + 0.01 * rng.standard_normal((SIDE_PX, SIDE_PX)) for _ in range(4)]
+    (spectra,) = scene_spectra(photos, grids=[SIDE_PX // 2], margin_px=30)
+    term = SceneTerm(UNKNOWNS, CodedOtfs(noisy.codes, KNOTS), spectra, path_error_px=0.0)
+    paths = [boracchi_foi(rng, max_length_px=40) for _ in range(6)]
+    t = np.linspace(0, 1, KNOTS)
+    costs = [float(term.cost(vector(path.at(t)))) for path in paths]
+    # noise that counts as the scene's light makes them differ by about the root of their number
+    assert np.ptp(costs) < 0.5 * np.sqrt(3 * len(spectra.f))
+
+
 def test_every_unknown_of_the_photos_counts(noisy) -> None:
     term = scene_term(noisy)
     best = relative(term, vector(TRUTH.xy))
