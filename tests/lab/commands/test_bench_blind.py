@@ -12,7 +12,7 @@ import pytest
 
 from cep.commands.console import FAILURE, INTERRUPTED
 from cep.files.images import read_image, write_image
-from lab.bench.blind import work
+from lab.bench.blind import cells
 from lab.bench.blind.job import blind_job, speed_job
 from lab.evaluation.quadratic_limits import nearest_quadratic
 from motdiff.estimators.base import MotionEstimate
@@ -41,7 +41,7 @@ def studio(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "lab.evaluation.floors.most_alike_quadratic", lambda path, *, size: nearest_quadratic(path)
     )
-    work._best_quadratic.cache_clear()
+    cells._best_quadratic.cache_clear()
     rng = np.random.default_rng(0)
     for name in ("a", "b"):
         blocks = np.kron(rng.random((16, 17, 3)), np.ones((8, 8, 1)))
@@ -73,10 +73,10 @@ def guesses(monkeypatch):
             motion = Trajectory.straight(7.0)
             return MotionEstimate("guess", (motion,), (1.0,), motion.psf(32), 0.4)
 
-    work._estimator.cache_clear()
+    cells._estimator.cache_clear()
     monkeypatch.setattr("motdiff.estimators.pmp.estimator.PmpEstimator", Guess)
     yield Guess
-    work._estimator.cache_clear()
+    cells._estimator.cache_clear()
 
 
 BLIND = (
@@ -96,7 +96,7 @@ SPEED = ("bench", "speed", "--data", "photos", "--protocol", "tiny.toml", "--met
 
 @pytest.mark.slow(reason="four blind estimates")
 def test_a_real_estimator_from_photos_to_every_output(lab, studio):
-    work._estimator.cache_clear()
+    cells._estimator.cache_clear()
     found = lab.succeeds(*BLIND, "-o", "out")
     table, limits = (
         found["tables"][title]

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from children import child
 
-from cep.commands.console import FAILURE, explain
+from cep.commands.console import FAILURE
+from cep.commands.errors import explain
 from lab.jobs.cells import Cell
 from lab.jobs.engine import run_cells
 from lab.jobs.executors import in_processes

@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 from emulators.cluster import ROOT, cluster_in, killing_one, require_dask
 
-from cep.commands.console import BAD_INPUT, explain
+from cep.commands.console import BAD_INPUT
+from cep.commands.errors import explain
 from lab.jobs.cells import Cell
 from lab.jobs.engine import run_cells
 

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from cep.commands.console import BAD_INPUT, FAILURE, explain
+from cep.commands.console import BAD_INPUT, FAILURE
+from cep.commands.errors import explain
 from motdiff.files.outputs import claim, new_file, new_folder, write_text
 
 

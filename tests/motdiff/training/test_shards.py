@@ -32,7 +32,6 @@ def test_only_missing_shards_are_made_and_all_are_read_in_the_order_of_their_num
     assert write(tmp_path / "new" / "folder", range(4, 8, 2), made) == [4, 6]
     assert write(tmp_path / "new" / "folder", range(3, 7), made) == [3, 4, 5, 6]
     assert made == [4, 6, 3, 5]
-    (tmp_path / "new" / "folder" / "part_00001.partial.npz").write_bytes(b"half")
     (tmp_path / "new" / "folder" / "other_00001.npz").write_bytes(b"of another name")
     assert load(tmp_path / "new" / "folder") == [3, 4, 5, 6]
 
