@@ -32,6 +32,7 @@ _OPTIONS = {
     "fastmath": {"reassoc", "contract", "arcp", "nsz"},
 }
 _NAME = "compiled-"
+_ROOM = bytes(2**20)  # of machine code; on a full disk a folder can be made, but not filled
 
 
 def compiled(function: F) -> F:
@@ -81,12 +82,14 @@ def kept_folder(package: Path, *, otherwise: Path | None) -> Path | None:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether files can be written into a folder; a missing one is made for this user alone."""
+    """Whether a folder has room for files; a missing one is made for this user alone."""
     try:
         # the parent too: the umask of many systems lets the user's group write
         folder.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(_ROOM)
+            file.flush()
             return True
     except OSError:
         return False
@@ -142,5 +145,7 @@ def _passing_folder(folders: str) -> Path | None:
     except OSError:
         return None
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    if not _is_writable(Path(folder)):
+        return None
     os.environ["NUMBA_CACHE_DIR"] = folder
     return Path(folder)

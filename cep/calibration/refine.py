@@ -148,7 +148,7 @@ def refine_motion(
     if best.values:
         chosen = best.given
         given_misfit = misfit = best.given_misfit
-        # misfits are multiples of what noise leaves: its fall is a sum of squares again
+        # times its unit: a fall of the sum of squares, as NOISE_GAIN is
         gain = (best.given_misfit - best.misfit) * best.values
         is_better = not is_unexplained and gain > NOISE_GAIN
     else:

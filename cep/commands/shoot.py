@@ -188,8 +188,7 @@ def shoot(options: ShootOptions) -> None:
     controller within a second or at the code's end.
 
     Words: exposure active is the camera's output that is high while it exposes (strobe out, flash
-    sync); trigger width an exposure as long as the trigger's level; blanking the closed time
-    between two exposures.
+    sync); blanking the closed time between two exposures.
 
     Example: cep shoot --camera twin: --code raskar-52 --chip-ns 200000 --linear 52 -o shot
 

@@ -187,7 +187,7 @@ class GenicamCamera(Camera, ABC):
         names = self.features.entries("PixelFormat")
         if (best := deepest(names)) is None:
             raise ValueError(
-                f"pixel_format: {self.camera} has {', '.join(names)}: none is monochrome or Bayer"
+                f"camera: {self.camera} has {', '.join(names)}: none is monochrome or Bayer"
             )
         return best
 
@@ -211,7 +211,7 @@ class GenicamCamera(Camera, ABC):
             modes = features.entries("ExposureMode")
             if "Timed" not in modes:
                 raise ValueError(
-                    f"trigger: {self.camera} does not expose by Timed, only by {', '.join(modes)}"
+                    f"camera: {self.camera} does not expose by Timed, only by {', '.join(modes)}"
                 )
             self._change("ExposureMode", "Timed")
         if trigger is not Trigger.SOFTWARE and features.available("TriggerActivation"):

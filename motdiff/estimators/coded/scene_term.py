@@ -26,7 +26,7 @@ _ONLY_NOISE_CY_PX = 0.5
 _LEAST_LIGHT = 1e-6
 _LEAST_PRODUCT = 0.02
 _LEAST_NOISE = 1e-3  # of full scale: 8 bits round by that, and files that were smoothed show less
-_LEAST_SIGNAL = 0.02  # share of a frequency that shows nothing but noise
+_LEAST_WEIGHT = 0.02  # of a frequency that shows nothing but noise
 _AT_ONCE = 8  # candidates, as many as fit the cache
 _SLOWEST_CY_PX = 1 / 64  # slower light is taken away
 # the curvature is summed over so many frequencies, drawn once, for each value that a step changes
@@ -141,9 +141,10 @@ class SceneTerm:
     With equal noise in all photos, the least squares over all scenes leave ``sum over pairs |B_i
     H_j - B_j H_i|^2`` over ``sum |H|^2`` at each frequency (Lagrange's identity): a sum of squares
     of as many values as there are photos less one, which the noise alone makes 1 each. A scene of
-    a known spectrum S leaves the share ``q = S sum |H|^2 / (S sum |H|^2 + noise)`` of it: where
-    the photos show nothing but noise, a path has nothing to explain. Products are taken of whole
-    photos and windowed after, so that nothing from beyond the borders counts.
+    power S gives it the weight ``q = S sum |H|^2 / (S sum |H|^2 + noise)``, which is taken of the
+    photos' power, the same for all paths: where they show nothing but noise, a path has nothing to
+    explain. Products are taken of whole photos and windowed after, so that nothing from beyond the
+    borders counts.
 
     Parameters
     ----------
@@ -167,13 +168,13 @@ class SceneTerm:
         self._window_rms = float(spectra.window.square().mean().sqrt())
         radius = torch.hypot(spectra.fy[:, None], spectra.fx)
         phase_error = (2 * pi * path_error_px * radius).clamp(max=1)
-        q = _signal_share(spectra)
+        q = _scene_weight(spectra)
         self._variance = (spectra.noise + phase_error**2 * spectra.power) / q
         # a half-plane spectrum stands for two frequencies, but where f_x is 0
         self._stands_for = 1 + (spectra.fx != 0).float()
         f = spectra.f
         self.values = float(q[spectra.mask].sum()) * (unknowns.exposures - 1)
-        """Number of squares, each by its share: the expected cost of the true path."""
+        """Number of squares, each by its weight: the expected cost of the true path."""
         index = torch.nonzero(spectra.mask.flatten()).squeeze(1)
         slopes = (_power(spectra.photos).sum(0) * radius**2 / self._variance).flatten()[index]
         count = _FREQUENCIES_PER_UNKNOWN * unknowns.kernel_shift(0) / (unknowns.exposures - 1)
@@ -207,7 +208,7 @@ class SceneTerm:
         return torch.stack([B[a] * H[:, b] - B[b] * H[:, a] for a, b in self._pairs], 1)
 
     def _weight(self, H: Tensor) -> Tensor:
-        """Inverse variance (B, R, C) of the products; 0 outside the mask."""
+        """Weight (B, R, C) of the products, q over their variance; 0 outside the mask."""
         return self._spectra.mask / ((_power(H).sum(1) + _LEAST_LIGHT) * self._variance)
 
     def add_normal(self, x: Tensor, JJ: Tensor, Jr: Tensor) -> None:
@@ -297,10 +298,10 @@ class SceneTerm:
         return x
 
 
-def _signal_share(spectra: SceneSpectra) -> Tensor:
-    """Share of the scene's light in the photos' power around each frequency, 0..1."""
+def _scene_weight(spectra: SceneSpectra) -> Tensor:
+    """Weight q of each frequency, up to 1, by the photos' power around it."""
     light = len(spectra.photos) * (spectra.power - spectra.noise).clamp(min=0)
-    return (light / (light + spectra.noise)).clamp(min=_LEAST_SIGNAL)
+    return (light / (light + spectra.noise)).clamp(min=_LEAST_WEIGHT)
 
 
 def _sampled(chance: FloatArray, rng: np.random.Generator) -> NDArray[np.intp]:
