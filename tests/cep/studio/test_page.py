@@ -429,7 +429,7 @@ def test_many_quick_changes_keep_the_address_and_an_early_reload_loses_nothing(s
 
 
 def test_a_search_shows_its_best_survives_a_reload_and_can_be_stopped(studio):
-    page = studio(state="code=" + "10" * 20 + "&motion=straight:30:0")
+    page = studio(state="code=" + "10" * 30 + "&motion=straight:30:0")
     before = bits(page)
     page.locator("#effort").select_option("2000000")
     page.locator("#search").click()
