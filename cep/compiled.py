@@ -32,7 +32,7 @@ _OPTIONS = {
     "fastmath": {"reassoc", "contract", "arcp", "nsz"},
 }
 _NAME = "compiled-"
-_ROOM = bytes(2**20)  # of machine code; on a full disk a folder can be made, but not filled
+_ROOM_BYTES = 2**20  # of machine code; on a full disk a folder can be made, but not filled
 
 
 def compiled(function: F) -> F:
@@ -82,14 +82,15 @@ def kept_folder(package: Path, *, otherwise: Path | None) -> Path | None:
 
 
 def _is_writable(folder: Path) -> bool:
-    """Whether a folder has room for files; a missing one is made for this user alone."""
+    """Whether a folder keeps code or has room; a missing one is made for this user alone."""
     try:
         # the parent too: the umask of many systems lets the user's group write
         folder.parent.mkdir(mode=0o755, parents=True, exist_ok=True)
         folder.mkdir(mode=0o700, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as file:
-            file.write(_ROOM)
-            file.flush()
+            if not any(folder.rglob("*.nbi")):  # numba's index: kept code is read without room
+                file.write(bytes(_ROOM_BYTES))
+                file.flush()
             return True
     except OSError:
         return False

@@ -2,6 +2,7 @@ import os
 import shutil
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,16 @@ def package(tmp_path):
     (folder / "inner.py").write_text("from cep.compiled import inlined\nSTEP = 1\n")
     (folder / "other.py").write_text("pass\n")
     return folder
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="a device that is always full")
+def test_on_a_full_disk_only_a_folder_that_keeps_code_is_used(package, monkeypatch):
+    folder = kept_folder(package, otherwise=None)
+    full = partial(open, "/dev/full", "wb")
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: full())
+    assert kept_folder(package, otherwise=None) is None
+    (folder / "loops.nbi").touch()
+    assert kept_folder(package, otherwise=None) == folder
 
 
 def test_the_folder_changes_with_any_compiled_source_and_the_old_one_goes(package, tmp_path):
