@@ -198,9 +198,9 @@ def _gyro_seeds():
 
 
 def _capture(path):
-    from hw.recordings.capture import read_capture
+    from hw.recordings.recording_file import read_recording
 
-    return read_capture(path)
+    return read_recording(path)
 
 
 def _vcd_seeds():

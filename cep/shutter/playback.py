@@ -17,8 +17,8 @@ from cep.optics.response import ShutterResponse
 from cep.optics.timeline import timeline
 from hw.device import DeviceProfile
 from hw.program import Program
-from hw.recordings.capture import read_capture
 from hw.recordings.playback import Verification, align
+from hw.recordings.recording_file import read_recording
 from motdiff.files.outputs import new_folder
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
@@ -198,7 +198,7 @@ def read_playback(
     """
     if isinstance(program, ShutterCode):
         program = Program(program.bits, chip_ns=program.chip_ns)
-    recording = read_capture(capture)
+    recording = read_recording(capture)
     trace = recording.trace(signal)
     trigger_trace = recording.trace(trigger) if trigger else None
     plays = align(trace, program, trigger=trigger_trace)

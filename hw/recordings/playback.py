@@ -10,8 +10,8 @@ from math import sqrt
 from statistics import fmean
 
 from hw.program import Program
-from hw.recordings.capture import Trace
 from hw.recordings.edge_fit import EdgeFit, fit_edges
+from hw.recordings.traces import Trace
 
 _GLITCH = 0.1  # of a chip: what is shorter is noise, not a chip
 _SLACK = 1.03  # a play may last that much longer than it should before the next is looked for

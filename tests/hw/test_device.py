@@ -2,7 +2,7 @@ import pytest
 
 from hw.device import DeviceProfile, load_profile, parse_profile, profile_names, refusal
 from hw.program import Program
-from hw.recordings.capture import read_capture
+from hw.recordings.recording_file import read_recording
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 
@@ -179,7 +179,7 @@ def test_a_profile_in_another_encoding_is_told_what_would_be_right(tmp_path, enc
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("read", "limit_mib"), [(load_profile, 1), (read_capture, 32)])
+@pytest.mark.parametrize(("read", "limit_mib"), [(load_profile, 1), (read_recording, 32)])
 def test_a_file_too_large_for_its_kind_is_refused_before_it_is_parsed(tmp_path, read, limit_mib):
     path = tmp_path / "a.toml"
     with path.open("wb") as stream:

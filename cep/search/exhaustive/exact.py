@@ -32,8 +32,8 @@ from cep.optics.exposure import chip_basis
 from cep.proofs.certify.minimum import Minimum, chip_minimum, min_chip, mtf_minimum
 from cep.search.annealing.anneal import anneal
 from cep.search.annealing.proposals import LoopLimits
-from cep.search.exhaustive.blocks import MARGIN, Scanner, Tables
 from cep.search.exhaustive.scan import BYTES, INNER, dot
+from cep.search.exhaustive.scan_tables import MARGIN, LimitTables, Scanner
 from cep.search.problem import SearchProblem
 
 Codes = NDArray[np.uint64]
@@ -237,7 +237,7 @@ class _Proof:
         self.best = best
         self.problem = best.problem
         self.limits = LoopLimits.of(best.problem)
-        self.tables: Tables | None = None
+        self.tables: LimitTables | None = None
         self.lock = Lock()
         n = best.problem.chips
         sizes = {n: 2**n - 1}
@@ -298,7 +298,7 @@ class _Proof:
 
     def _scanner(self, length: int) -> Scanner:
         if self.tables is None:
-            self.tables = Tables(self.best.basis, self.limits, self.best.limit)
+            self.tables = LimitTables(self.best.basis, self.limits, self.best.limit)
         elif self.best.limit > _GROWTH * self.tables.limit:
             self.tables = self.tables.tightened(self.best.limit)
         return Scanner(

@@ -28,7 +28,7 @@ from emulators.tools import require_simavr
 
 from hw.drivers.cxp import Controller
 from hw.program import Program
-from hw.recordings.capture import read_capture
+from hw.recordings.recording_file import read_recording
 
 if not hasattr(signal, "SIGALRM"):
     pytest.skip("no pseudo-terminals on this system", allow_module_level=True)
@@ -245,7 +245,7 @@ def test_ctrl_c_on_a_terminal_ends_an_emulation_with_all_that_its_pins_did(tmp_p
         )  # as the terminal does: all processes that it started get it
         out, _ = emulator.communicate(timeout=60)
     assert emulator.returncode == 0
-    assert json.loads(out)["edges"] == len(read_capture(vcd).trace("shutter").edges) == 26
+    assert json.loads(out)["edges"] == len(read_recording(vcd).trace("shutter").edges) == 26
     assert not link.is_symlink()
 
 

@@ -130,7 +130,7 @@ def test_outputs_are_checked_before_any_device_or_compiler_is_touched(
     Path("folder").mkdir()
     for name in (
         "hw.emulation.uno.build_board",
-        "hw.recordings.capture.parse_vcd",
+        "hw.recordings.recording_file.parse_vcd",
     ):
         monkeypatch.setattr(name, touched)
     Path("played.vcd").write_text("$")

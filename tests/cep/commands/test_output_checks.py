@@ -65,7 +65,7 @@ WORK = (
     "cep.proofs.mtf_curves.mtf_curve",
     "cep.restoration.restore.restore",
     "hw.drivers.cxp.open_link",
-    "cep.shutter.playback.read_capture",
+    "cep.shutter.playback.read_recording",
     "hw.emulation.uno.EmulatedUno",
     "hw.export.export_program",
     "cep.report.chain.run_chain",

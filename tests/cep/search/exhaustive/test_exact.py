@@ -15,9 +15,9 @@ from cep.optics.exposure import chip_basis
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.proposals import LoopLimits, keeps_runs
-from cep.search.exhaustive.blocks import Tables
 from cep.search.exhaustive.exact import BestCode, codes_to_count, exact
 from cep.search.exhaustive.scan import INNER, all_patterns, possible
+from cep.search.exhaustive.scan_tables import LimitTables
 from cep.search.limits import RunLimits
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
@@ -302,7 +302,7 @@ def test_what_a_cell_discards_is_below_the_limit_wherever_the_point_lies(seed, l
     rng = np.random.default_rng(seed)
     chips = 20
     basis = np.exp(-2j * np.pi * np.outer(np.arange(chips), rng.random(8) / 2))
-    tables = Tables(basis, LoopLimits.of(SearchProblem(chips=chips)), limit)
+    tables = LimitTables(basis, LoopLimits.of(SearchProblem(chips=chips)), limit)
     inner = all_patterns(INNER) @ tables.used[tables.inner_at : tables.inner_at + INNER]
     rows = tables.cells.reshape(-1, tables.grid, tables.grid, 16)
     discarded = 0

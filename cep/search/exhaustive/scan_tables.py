@@ -38,7 +38,7 @@ _SAMPLE = 2**12  # random codes by which frequencies are put in order
 _CANDIDATES = 768  # frequencies that the scan looks at; the caller looks at the others
 
 
-class Tables:
+class LimitTables:
     """Tables of a limit: frequencies in order of trial, and the patterns that they leave.
 
     Parameters
@@ -64,7 +64,7 @@ class Tables:
         self._total = float(np.abs(basis).sum(axis=0).max())
         self._fill(limit)
 
-    def tightened(self, limit: float) -> Tables:
+    def tightened(self, limit: float) -> LimitTables:
         """Tables of a higher limit, with the same frequencies."""
         tables = copy(self)
         tables._fill(limit)
@@ -98,7 +98,7 @@ class Scanner:
 
     Parameters
     ----------
-    tables : Tables
+    tables : LimitTables
     length : int
         At least 12.
     ends_open : bool
@@ -109,7 +109,7 @@ class Scanner:
 
     def __init__(
         self,
-        tables: Tables,
+        tables: LimitTables,
         length: int,
         *,
         ends_open: bool,

@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from hw.export import EXPORTERS
 from hw.program import Program
-from hw.recordings.capture import Trace, parse_vcd, read_capture
 from hw.recordings.playback import align
+from hw.recordings.recording_file import read_recording
+from hw.recordings.traces import Trace
+from hw.recordings.vcd import parse_vcd
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 PROGRAM = Program(RASKAR, 200_000)
@@ -425,7 +427,7 @@ def test_what_is_no_vcd_gets_one_clear_line(tmp_path, text, words):
     if words is None:
         words = "goes back in time"
     with pytest.raises(ValueError, match=words) as caught:
-        read_capture(path)
+        read_recording(path)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(str(path))
 
@@ -434,11 +436,11 @@ def test_unreadable_files_get_one_clear_line(tmp_path):
     session = tmp_path / "capture.sr"
     session.write_bytes(b"PK\x03\x04\xff\xfe\x00\x80")
     with pytest.raises(ValueError, match="is no text: save or export the capture as VCD"):
-        read_capture(session)
+        read_recording(session)
     with pytest.raises(ValueError, match="No such file"):
-        read_capture(tmp_path / "missing.vcd")
+        read_recording(tmp_path / "missing.vcd")
     with pytest.raises(ValueError, match="cannot be read"):
-        read_capture(tmp_path)
+        read_recording(tmp_path)
 
 
 def test_signals_are_found_by_name_or_by_being_busy():
@@ -495,7 +497,7 @@ def test_a_vcd_written_by_sigrok(tmp_path, downsample):
         "seen.vcd",
     ]
     subprocess.run(command, cwd=tmp_path, check=True, timeout=60)
-    recording = read_capture(tmp_path / "seen.vcd")
+    recording = read_recording(tmp_path / "seen.vcd")
     assert [trace.name for trace in recording.traces] == ["libsigrok.shutter", "libsigrok.gate"]
     found = _only(recording.trace("shutter"), trigger=recording.trace("gate"))
     assert (found.achieved, found.problems) == (RASKAR, ())
@@ -532,7 +534,7 @@ def test_any_encoding_of_a_capture_is_read(tmp_path, encoding, kind):
         text = "\r\n".join([f"Time [s],shutter,d{accent}but", *lines, ""])
     path = tmp_path / f"capture.{kind}"
     path.write_bytes(text.encode(encoding))
-    recording = read_capture(path)
+    recording = read_recording(path)
     assert _only(recording.trace("shutter")).achieved == RASKAR
     if kind == "csv" and encoding != "cp1251":
         assert recording.trace("début").edges == ()
@@ -542,7 +544,7 @@ def test_a_capture_cut_in_the_middle_of_a_character_is_told(tmp_path):
     path = tmp_path / "capture.csv"
     path.write_bytes("Time [s],D0\n0,0\n1,1\n2,0\n3,1".encode("utf-16")[:-1])
     with pytest.raises(ValueError, match=r"capture.csv: line 5 has"):
-        read_capture(path)
+        read_recording(path)
 
 
 def test_a_vcd_with_the_mark_of_windows_programs(tmp_path):
@@ -550,5 +552,6 @@ def test_a_vcd_with_the_mark_of_windows_programs(tmp_path):
     (tmp_path / "plain.vcd").write_text(text)
     (tmp_path / "marked.vcd").write_text(text, encoding="utf-8-sig")
     assert (
-        read_capture(tmp_path / "marked.vcd").traces == read_capture(tmp_path / "plain.vcd").traces
+        read_recording(tmp_path / "marked.vcd").traces
+        == read_recording(tmp_path / "plain.vcd").traces
     )

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from hw.export import EXPORTERS
 from hw.program import Program
-from hw.recordings.capture import parse_saleae, read_capture
 from hw.recordings.playback import align
+from hw.recordings.recording_file import read_recording
+from hw.recordings.saleae import parse_saleae
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 PROGRAM = Program(RASKAR, 200_000)
@@ -128,7 +129,7 @@ def test_every_version_of_the_header(tmp_path, header, separator, digits):
         ("no_suffix", text),
     ]:
         (tmp_path / name).write_text(written, encoding="utf-8", newline="")
-        trace = read_capture(tmp_path / name).trace("Channel 0")
+        trace = read_recording(tmp_path / name).trace("Channel 0")
         assert trace.edges == wanted
 
 
@@ -186,14 +187,16 @@ def test_what_is_no_digital_export_gets_one_clear_line(tmp_path, text, words):
     path = tmp_path / "digital.csv"
     path.write_text(text, newline="")
     with pytest.raises(ValueError, match=words) as caught:
-        read_capture(path)
+        read_recording(path)
     assert "\n" not in str(caught.value)
     assert str(caught.value).startswith(str(path))
 
 
 def test_a_vcd_is_a_vcd_whatever_its_name(tmp_path):
     (tmp_path / "capture.txt").write_text(EXPORTERS["vcd"].export(PROGRAM))
-    assert len(read_capture(tmp_path / "capture.txt").trace("shutter").edges) == len(PROGRAM.edges)
+    assert len(read_recording(tmp_path / "capture.txt").trace("shutter").edges) == len(
+        PROGRAM.edges
+    )
 
 
 @settings(deadline=None, max_examples=300)
