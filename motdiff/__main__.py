@@ -19,7 +19,7 @@ from motdiff.files.outputs import check_file, check_folder
 from motdiff.types import FloatArray
 
 if TYPE_CHECKING:
-    from motdiff.training.loop import Trainer
+    from motdiff.training.trainer import Trainer
 
 _TILE_IN = 1.3  # inches of each picture on the sheet
 
@@ -137,8 +137,8 @@ def _add_train(commands: _Commands[argparse.ArgumentParser]) -> None:
 
 def _train(options: argparse.Namespace) -> None:
     from motdiff.training.config import read_config
-    from motdiff.training.loop import Trainer
-    from motdiff.training.run import Pace, device_named, train
+    from motdiff.training.run_piece import Pace, device_named, train
+    from motdiff.training.trainer import Trainer
 
     with _entries_of(options.config):
         config = read_config(options.config)
@@ -237,7 +237,7 @@ def _export(options: argparse.Namespace) -> None:
     from motdiff.files.inputs import read_json
     from motdiff.training.log import last_validation
     from motdiff.training.weight_files import export_weights
-    from motdiff.weights import read_card
+    from motdiff.weights import read_network_card
 
     card = None if options.card is None else read_json(options.card)
     if not isinstance(card, dict | None):
@@ -250,7 +250,7 @@ def _export(options: argparse.Namespace) -> None:
         card=card,
         validation_mnc=score,
     )
-    runs = read_card(options.out)["run"]["history"]
+    runs = read_network_card(options.out)["run"]["history"]
     samples, hours = (sum(piece[name] for piece in runs) for name in ("samples", "hours"))
     text = f"{options.out}: {size / 2**20:.1f} MiB; {samples:,} samples in {hours:.1f} h, "
     text += "1 run" if len(runs) == 1 else f"{len(runs)} runs"

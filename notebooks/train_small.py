@@ -37,12 +37,12 @@ from skimage import data
 from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import spectral_maps
 from motdiff.network.sampling import sample_paths
+from motdiff.training.batches import Batch
 from motdiff.training.config import DataConfig, LossConfig, OptimiserConfig, TrainingConfig
-from motdiff.training.data import Batch
-from motdiff.training.loop import Trainer
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.samples import simulate
 from motdiff.training.simulation import Photography
+from motdiff.training.trainer import Trainer
 
 torch.set_num_threads(1)
 torch.set_flush_denormal(True)

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from cep.commands.calibrate_next import NextOptions, next_step, write_next
+from cep.commands.calibrate_refine import refine
 from cep.commands.code_options import exposure_seconds
 from cep.commands.console import Table, end, finish, part, progress
 from cep.commands.errors import in_options, with_photo_file
-from cep.commands.next_photo import NextOptions, next_step, write_next
 from cep.commands.options import (
     CommonOptions,
     Gamma,
@@ -23,7 +24,6 @@ from cep.commands.options import (
     option,
     output_option,
 )
-from cep.commands.refine import refine
 from motdiff.estimators.method import Kind, Option, command_options
 from motdiff.estimators.registry import METHODS, blind_methods
 

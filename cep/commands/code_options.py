@@ -138,7 +138,7 @@ class CodeOptions(CameraOptions, SceneOptions):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SearchOptions:
+class SearchRunOptions:
     """Objective, moves and time of a search, and the file of its code."""
 
     objective: str | None = option(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cep.commands.code_options import (
     SEARCH,
     CodeOptions,
-    SearchOptions,
+    SearchRunOptions,
     chips_option,
     ending,
     objective_mix,
@@ -29,7 +29,7 @@ _SPEEDS = 5  # of a range: the worst speed lies at one of its ends or near the m
 
 
 @dataclass(frozen=True, kw_only=True)
-class OptimizeOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
+class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOptions):
     """Options of ``cep optimize``."""
 
     chips: int | None = chips_option(

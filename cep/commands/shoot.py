@@ -20,7 +20,7 @@ from cep.commands.options import (
     option,
     output_option,
 )
-from cep.commands.shots import (
+from cep.commands.shoot_runs import (
     calibrate_by_shots,
     calibrate_with_set,
     end_unless_counted,
@@ -251,7 +251,7 @@ def _arm(options: ShootOptions, count: str) -> None:
     """Play on every trigger of a belt."""
     import math
 
-    from cep.shutter.play import play_on_triggers
+    from cep.shutter.belt import play_on_triggers
 
     assert options.port is not None
     plays = None if count == "always" else int(count) if count.isdecimal() else 0

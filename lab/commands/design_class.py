@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from cep.commands.code_options import (
     STANDARD_CHIPS,
     CodeOptions,
-    SearchOptions,
+    SearchRunOptions,
     ending,
     exposure_seconds,
     objective_mix,
@@ -34,7 +34,7 @@ _CHIP_S = 1e-3  # where no exposure is given
 
 
 @dataclass(frozen=True, kw_only=True)
-class DesignClassOptions(CommonOptions, SearchOptions, CodeOptions):
+class DesignClassOptions(CommonOptions, SearchRunOptions, CodeOptions):
     """Options of ``python -m lab design-class``."""
 
     motion_class: str = argument(

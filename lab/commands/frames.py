@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from cep.commands.code_options import (
     CodeOptions,
-    SearchOptions,
+    SearchRunOptions,
     ending,
     in_bits,
     objective_mix,
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
-class FramesOptions(CommonOptions, SearchOptions, CodeOptions, MotionOptions):
+class FramesOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOptions):
     """Options of ``python -m lab frames``."""
 
     frames: int = option("--frames", "N", "Exposures, each with its code.", 2, min=2)

@@ -23,9 +23,9 @@ import torch
 
 from lab.bench.statistics import mean_interval
 from lab.studies.inputs import add_row, finished_rows, study_parser
+from motdiff.training.batches import make_sources
 from motdiff.training.config import DataConfig, TrainingConfig, read_config
-from motdiff.training.data import make_sources
-from motdiff.training.run import Pace, train, validation_scores
+from motdiff.training.run_piece import Pace, train, validation_scores
 
 _CONFIGS = Path(__file__).parents[2] / "motdiff" / "configs"
 _BATCH = 16

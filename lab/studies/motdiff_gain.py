@@ -38,11 +38,11 @@ from lab.studies.inputs import add_row, kept_rows, study_parser
 from motdiff.blind_search.coarse_to_fine import refined
 from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
+from motdiff.estimators.blind_estimator import BlindEstimator
 from motdiff.estimators.kernel_score import distinct, rank_kernels
 from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
-from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.metrics import mnc_matrix, mnc_subpixel

@@ -23,13 +23,13 @@ from lab.studies.inputs import study_parser
 from motdiff.metrics import mnc
 from motdiff.network import MotDiffNetwork
 from motdiff.network.sampling import psfs_of_maps, sample_paths
+from motdiff.training.batches import Batch, PreparedSource
 from motdiff.training.config import TrainingConfig, read_config
-from motdiff.training.data import Batch, PreparedSource
-from motdiff.training.loop import Trainer, loss_of
 from motdiff.training.motion_bank import drawn_kinds
 from motdiff.training.prepared import read_shards
-from motdiff.training.run import Pace, train
+from motdiff.training.run_piece import Pace, train
 from motdiff.training.samples import Samples
+from motdiff.training.trainer import Trainer, loss_of
 from motdiff.weights import DEFAULT_WEIGHTS
 
 _BLANKED = 1 - 1e-9

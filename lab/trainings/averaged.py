@@ -10,7 +10,7 @@ from typing import Generic, TypeVar
 import torch
 from torch import nn
 
-from motdiff.training.loop import follow
+from motdiff.training.trainer import follow
 
 _Network = TypeVar("_Network", bound=nn.Module)
 

@@ -59,7 +59,7 @@ def prepare_shards(options: argparse.Namespace, prepare: Callable[..., None]) ->
     import torch
 
     from motdiff.training.prepared import read_source, shard_range
-    from motdiff.training.run import device_named
+    from motdiff.training.run_piece import device_named
 
     torch.set_num_threads(1)  # the arrays are small: more threads are slower
     shards = shard_range(options.shards)

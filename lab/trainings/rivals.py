@@ -20,8 +20,8 @@ from motdiff.network import NetworkConfig
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.psf_frame import PSF_PX
 from motdiff.tracing.quadratic import HAT_VARIANCE_PX2
-from motdiff.training.data import Batch
-from motdiff.training.loop import Trainer, blanked
+from motdiff.training.batches import Batch
+from motdiff.training.trainer import Trainer, blanked
 
 _POINTS = 64  # dots along a path
 _BLURS_PX = (0.6, 1.8, 5.0)  # the sharpest is nearly MNC; the others pull from farther away
@@ -102,7 +102,7 @@ def path_loss(coefficients: Tensor, dwell: Tensor) -> Tensor:
     ----------
     coefficients : (B, 2, 2) float, px
     dwell : (B, 1, 256, 256) float
-        HR maps weighted by time, :class:`motdiff.training.data.Batch`.
+        HR maps weighted by time, :class:`motdiff.training.batches.Batch`.
 
     Returns
     -------

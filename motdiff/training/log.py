@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from motdiff.files.outputs import write_bytes, write_text
-from motdiff.training.loop import Losses
+from motdiff.training.trainer import Losses
 
 _MEASURES = ("loss", "path", "dwell", "gradient", "samples_per_s", "validation_mnc")
 _FIELDS = ("step", "samples", *_MEASURES)

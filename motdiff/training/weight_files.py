@@ -13,7 +13,7 @@ from safetensors.torch import save
 from motdiff.files.outputs import write_bytes
 from motdiff.network.condition import ConditionNetwork
 from motdiff.training.checkpoint import read_checkpoint
-from motdiff.weights import SCHEMA, network_config, read_card
+from motdiff.weights import SCHEMA, network_config, read_network_card
 from motdiff.weights_io import packed, read_tensors
 
 PHOTO_PARTS = ("photo.", "fusion.")
@@ -98,7 +98,7 @@ def _earlier(config: Mapping[str, Any]) -> list[dict[str, float | None]]:
     start = str(config.get("optimiser", {}).get("start", ""))
     if not start or not Path(start).is_file():
         return []
-    header = read_card(start)
+    header = read_network_card(start)
     history: list[dict[str, float | None]] = header["run"]["history"]
     return history or [
         _line(header["run"]["steps"], header["run"]["seconds"], header["config"], None)
@@ -157,7 +157,7 @@ def load_start(network: ConditionNetwork, path: Path | str) -> None:
     }
     if is_same and _OUTPUT_BIAS in parts:
         # the logits as they were trained
-        parts[_OUTPUT_BIAS][0] += read_card(path)["run"]["offset"]
+        parts[_OUTPUT_BIAS][0] += read_network_card(path)["run"]["offset"]
     state = network.state_dict()
     expected = {
         name: tensor.shape

@@ -20,7 +20,7 @@ __all__ = [
     "load_correction",
     "load_network",
     "network_config",
-    "read_card",
+    "read_network_card",
 ]
 
 DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
@@ -72,7 +72,7 @@ def network_config(path: Path | str, *, target: str | None = None) -> NetworkCon
     ValueError
         If the file is not one of ours, or of another target.
     """
-    header = read_card(path)
+    header = read_network_card(path)
     try:
         config = NetworkConfig.from_dict(header["config"]["network"])
     except (KeyError, TypeError, ValueError) as error:
@@ -84,7 +84,7 @@ def network_config(path: Path | str, *, target: str | None = None) -> NetworkCon
     return config
 
 
-def read_card(path: Path | str) -> dict[str, dict[str, Any]]:
+def read_network_card(path: Path | str) -> dict[str, dict[str, Any]]:
     """Read a weights file's header: ``config``, ``card``, ``run`` (steps, time, offset, history).
 
     The history has a line for each run that led to the weights, from the first: ``samples``,

@@ -25,7 +25,7 @@ from motdiff.training import samples as samples_module
 from motdiff.training.checkpoint import read_checkpoint
 from motdiff.training.config import read_config
 from motdiff.training.log import read_log
-from motdiff.weights import load_network, read_card
+from motdiff.weights import load_network, read_network_card
 
 ROOT = Path(__file__).resolve().parents[2]
 PHYSICS = """
@@ -154,7 +154,7 @@ def test_from_photos_to_weights(photos, motdiff):
         rf" {score:.3f}\n",
         told,
     )
-    assert read_card("weights.safetensors")["run"]["steps"] == 2
+    assert read_network_card("weights.safetensors")["run"]["steps"] == 2
     assert load_network("weights.safetensors").config.physics_channels == 8
 
 
@@ -445,7 +445,7 @@ def test_each_process_takes_its_own_gpu(wanted, rank, name, photos, motdiff, mon
     monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
     monkeypatch.setattr(torch.cuda, "set_device", taken.append)
     monkeypatch.setattr(
-        "motdiff.training.run.train", lambda *_, device, **__: devices.append(device)
+        "motdiff.training.run_piece.train", lambda *_, device, **__: devices.append(device)
     )
     assert motdiff("train", write("run.toml", LIVE), "-o", "run", "--device", wanted)[0] == 0
     assert devices == [name]
@@ -502,7 +502,7 @@ def test_each_end_has_its_exit_code(error, code, line, motdiff, monkeypatch):
 
 def test_a_loss_that_is_not_finite_is_a_failure(photos, motdiff, monkeypatch):
     monkeypatch.setattr(
-        "motdiff.training.loop.loss_of",
+        "motdiff.training.trainer.loss_of",
         lambda *_, **__: (torch.tensor(float("nan"), requires_grad=True),) * 2,
     )
     code, told = motdiff("train", write("run.toml", LIVE), "-o", "run", "--device", "cpu")

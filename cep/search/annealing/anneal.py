@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cep.optics.code import ShutterCode
 from cep.search.annealing.cooling import anneal_chain
 from cep.search.annealing.polish import Polished, polish
-from cep.search.annealing.sweeps import sweep_tables, sweeps, swept
+from cep.search.annealing.sweeps import can_sweep, sweep_chain, sweep_tables
 from cep.search.annealing.terms import lay_out
 from cep.search.cost import FINE, CodeCost, sample_count
 from cep.search.problem import SearchProblem
@@ -140,7 +140,7 @@ def anneal(
         raise ValueError(f"start: every code must have {problem.chips} chips")
     ranking = coarse = coarse or CodeCost(problem, oversampling=SEARCH_OVERSAMPLING)
     longest = _LONGEST
-    if swept(problem):
+    if can_sweep(problem):
         # what is best on the coarse samples need not be so between them
         ranking = judge = judge or CodeCost(problem, **FINE)
         longest = _LONGEST_SWEPT
@@ -190,7 +190,7 @@ def anneal(
 
 def standard_moves(problem: SearchProblem) -> int:
     """Return the number of moves after which further ones rarely find a better code."""
-    if swept(problem):
+    if can_sweep(problem):
         return _SWEPT_MOVES
     columns = sample_count(problem, oversampling=SEARCH_OVERSAMPLING)
     if problem.rule == "mean":
@@ -216,12 +216,14 @@ def _chains(
     """
     problem = coarse.problem
     hot = hottest_db(problem)
-    if judge is not None and swept(problem):
+    if judge is not None and can_sweep(problem):
         sweeping = sweep_tables(coarse, judge)
 
         def sweep_round(_round_number: int, moves: int) -> list[ChainSlices]:
             return [
-                sweeps(problem, sweeping, moves=moves, temperature_db=_SWEPT * hot, seed=int(seed))
+                sweep_chain(
+                    problem, sweeping, moves=moves, temperature_db=_SWEPT * hot, seed=int(seed)
+                )
                 for seed in rng.integers(1, 2**62, CHAINS)
             ]
 

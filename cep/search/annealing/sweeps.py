@@ -54,7 +54,7 @@ class SweepTables(NamedTuple):
     high: int
 
 
-def swept(problem: SearchProblem) -> bool:
+def can_sweep(problem: SearchProblem) -> bool:
     """Whether sweeps search a problem: the smallest |H| of few chips, one way along a line."""
     if problem.chips > _MOST_CHIPS or problem.limits_runs or problem.response is not None:
         return False
@@ -86,7 +86,7 @@ def sweep_tables(code_cost: CodeCost, judge: CodeCost) -> SweepTables:
     )
 
 
-def sweeps(
+def sweep_chain(
     problem: SearchProblem, tables: SweepTables, *, moves: int, temperature_db: float, seed: int
 ) -> Iterator[tuple[int, Codes]]:
     """Yield the moves made and the (R, n) best codes after every slice of moves.
@@ -105,7 +105,7 @@ def sweeps(
             best = np.empty((_KEPT, problem.chips), np.int8)
             count = np.zeros(1, np.int64)
             slice_moves = min(_SLICE, until - total)
-            moves_made = sweep(
+            moves_made = sweep_loop(
                 tables, code, random, temperature_db, slice_moves, deepest, best, count
             )
             total += moves_made
@@ -221,7 +221,7 @@ def _offer(
 
 
 @compiled
-def sweep(
+def sweep_loop(
     tables: Any,
     code: Codes,
     random: NDArray[np.uint64],

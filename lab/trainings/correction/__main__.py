@@ -56,7 +56,7 @@ def _prepare(options: argparse.Namespace) -> None:
 def _train(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import read_samples
     from lab.trainings.correction.training import Settings, train
-    from motdiff.training.run import device_named
+    from motdiff.training.run_piece import device_named
 
     device = device_named(options.device)
     settings = Settings(steps=options.steps, batch=options.batch, seed=options.seed)
@@ -72,7 +72,7 @@ def _train(options: argparse.Namespace) -> None:
 def _evaluate(options: argparse.Namespace) -> None:
     from lab.trainings.correction.samples import read_samples
     from lab.trainings.correction.training import corrected_mnc
-    from motdiff.training.run import device_named
+    from motdiff.training.run_piece import device_named
     from motdiff.weights import CORRECTION_WEIGHTS, load_correction
 
     device = device_named(options.device)

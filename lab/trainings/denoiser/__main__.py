@@ -61,7 +61,7 @@ def _train(options: argparse.Namespace) -> None:
     from lab.trainings.denoiser.samples import Photos
     from lab.trainings.denoiser.training import Settings, train
     from motdiff.training.photos import load_photos
-    from motdiff.training.run import device_named
+    from motdiff.training.run_piece import device_named
 
     device = device_named(options.device)
     settings = Settings(

@@ -48,7 +48,7 @@ def _train(options: argparse.Namespace) -> None:
     from lab.trainings.paths.samples import clean_points, read_samples
     from lab.trainings.paths.training import Settings, train
     from motdiff.training.config import read_config
-    from motdiff.training.run import device_named
+    from motdiff.training.run_piece import device_named
 
     mix = read_config(options.config).motions
     settings = Settings(minutes=options.minutes, batch=options.batch, seed=options.seed)

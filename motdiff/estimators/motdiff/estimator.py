@@ -12,6 +12,7 @@ import torch
 
 from motdiff.blind_search.coarse_to_fine import refined
 from motdiff.estimators.base import FoundKernels
+from motdiff.estimators.blind_estimator import BlindEstimator
 from motdiff.estimators.kernel_score import Judge, candidate_probabilities, distinct
 from motdiff.estimators.motdiff import MotDiff
 from motdiff.estimators.motdiff.correcting import (
@@ -22,7 +23,6 @@ from motdiff.estimators.motdiff.correcting import (
     kernels_agreed_at_half,
 )
 from motdiff.estimators.motdiff.drawing import draw_psfs
-from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned
 from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import mnc_matrix, mnc_subpixel
@@ -75,7 +75,7 @@ class MotDiffEstimator(BlindEstimator):
     seed : int
         Of the draws.
     crops, progress
-        As of :class:`motdiff.estimators.multiscale.BlindEstimator`.
+        As of :class:`motdiff.estimators.blind_estimator.BlindEstimator`.
 
     References
     ----------

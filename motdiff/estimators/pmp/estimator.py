@@ -15,8 +15,8 @@ from motdiff.blind_search.coarse_to_fine import (
     estimate_kernels,
 )
 from motdiff.estimators.base import FoundKernels
+from motdiff.estimators.blind_estimator import BlindEstimator
 from motdiff.estimators.kernel_score import rank_kernels
-from motdiff.estimators.multiscale import BlindEstimator
 from motdiff.estimators.pmp import Pmp
 from motdiff.metrics import mnc_subpixel
 from motdiff.photo_noise import shared_sigma
@@ -57,7 +57,7 @@ class PmpEstimator(BlindEstimator):
     Parameters
     ----------
     crops, progress
-        As of :class:`motdiff.estimators.multiscale.BlindEstimator`.
+        As of :class:`motdiff.estimators.blind_estimator.BlindEstimator`.
 
     References
     ----------

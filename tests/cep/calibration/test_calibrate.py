@@ -37,7 +37,7 @@ def small_weights(tmp_path, monkeypatch):
     from motdiff.estimators.motdiff import estimator
     from motdiff.network import NetworkConfig
     from motdiff.training.config import DataConfig, TrainingConfig
-    from motdiff.training.loop import Trainer
+    from motdiff.training.trainer import Trainer
     from motdiff.training.weight_files import export_weights
     from motdiff.weights import load_network
 

@@ -15,9 +15,9 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import played_psf
 from cep.optics.timeline import timeline
 from cep.plots.wiring import wiring_figure
+from cep.shutter.belt import play_on_triggers
 from cep.shutter.cameras import CAMERAS
 from cep.shutter.exposure_plan import ShotSettings
-from cep.shutter.play import play_on_triggers
 from cep.shutter.release import Release
 from cep.shutter.shoot import open_rig, repeatability, shoot
 from cep.shutter.twin import code_values

@@ -40,7 +40,7 @@ from motdiff.crops import luminance
 from motdiff.metrics import mnc
 from motdiff.simulate import blur_symmetric, blur_valid, valid_window
 from motdiff.trajectory import Trajectory
-from motdiff.weights import DEFAULT_WEIGHTS, read_card
+from motdiff.weights import DEFAULT_WEIGHTS, read_network_card
 
 TINY = Protocol("tiny", 2, 2, crop_px=96, psf_px=32, motion=Motions(max_length_px=16.0))
 
@@ -606,11 +606,11 @@ def test_smaller_budgets_are_told_as_the_weights_say():
     """Samples are updates times the batch, in the header of the weights; MoTDiff had three runs,
     its card tells."""
     for method, path in (("parametric", PATH_WEIGHTS), ("psf-diffusion", PSF_WEIGHTS)):
-        card = read_card(path)
+        card = read_network_card(path)
         samples = card["run"]["steps"] * card["config"]["optimiser"]["batch"]
         assert samples == SMALL_BUDGETS[method]
         assert f"{method} {samples:,} from 704" in budget_warning(["pmp", f"{method}"])
-    card = read_card(DEFAULT_WEIGHTS)
+    card = read_network_card(DEFAULT_WEIGHTS)
     told = card["card"]["samples"]
     assert f"{card['run']['steps'] * card['config']['optimiser']['batch']:,}" in told
     assert f"MoTDiff's {told.split()[0]} samples" in budget_warning(["psf-diffusion:4"])

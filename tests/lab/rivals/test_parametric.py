@@ -25,13 +25,13 @@ from motdiff.motions import boracchi_foi
 from motdiff.network import NetworkConfig
 from motdiff.simulate import blur_valid
 from motdiff.tracing.quadratic import QuadraticPath
+from motdiff.training.batches import Batch
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
-from motdiff.training.data import Batch
 from motdiff.training.motion_bank import dwell_on_map
-from motdiff.training.run import validation_mnc
+from motdiff.training.run_piece import validation_mnc
 from motdiff.training.weight_files import export_weights
 from motdiff.trajectory import Trajectory
-from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_card
+from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_network_card
 
 TINY = NetworkConfig(
     target="path",
@@ -298,7 +298,7 @@ BENT = QuadraticPath([16.0, 7.0], [-6.0, 16.0]).trajectory()
 
 def test_the_shipped_ones_say_what_they_are():
     assert PATH_WEIGHTS.stat().st_size <= 4 * 2**20
-    card = read_card(PATH_WEIGHTS)
+    card = read_network_card(PATH_WEIGHTS)
     assert card["config"]["network"]["target"] == "path"
     readme = PATH_WEIGHTS.with_name("README.md").read_text(encoding="utf-8")
     assert f"{card['run']['steps']:,} updates" in readme.split("# parametric.safetensors")[1]

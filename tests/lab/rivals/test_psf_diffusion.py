@@ -17,12 +17,12 @@ from motdiff.network import MotDiffNetwork, NetworkConfig
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.sampling import psfs_of_maps, sample_paths
 from motdiff.simulate import blur_valid
+from motdiff.training.batches import Batch
 from motdiff.training.config import DataConfig, LossConfig, OptimiserConfig, TrainingConfig
-from motdiff.training.data import Batch
-from motdiff.training.run import validation_mnc
+from motdiff.training.run_piece import validation_mnc
 from motdiff.training.weight_files import export_weights
 from motdiff.trajectory import Trajectory
-from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_card
+from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_network_card
 
 TINY = NetworkConfig(
     target="psf",
@@ -194,7 +194,7 @@ def test_a_run_starts_from_the_condition_of_another(tmp_path):
     begun.save(tmp_path / "begun")
     export_weights(tmp_path / "begun", tmp_path / "begun.safetensors")
     assert (
-        read_card(tmp_path / "begun.safetensors")["config"]["optimiser"]["start"]
+        read_network_card(tmp_path / "begun.safetensors")["config"]["optimiser"]["start"]
         == "psf.safetensors"
     )
     alone = replace(begun.config, optimiser=config().optimiser)
@@ -223,7 +223,7 @@ def photo():
 
 def test_the_shipped_ones_say_what_they_are():
     assert PSF_WEIGHTS.stat().st_size <= 4 * 2**20
-    card = read_card(PSF_WEIGHTS)
+    card = read_network_card(PSF_WEIGHTS)
     assert card["config"]["network"]["target"] == "psf"
     readme = PSF_WEIGHTS.with_name("README.md").read_text(encoding="utf-8")
     assert f"{card['run']['steps']:,} updates" in readme.split("# psf_diffusion.safetensors")[1]

@@ -6,7 +6,7 @@ import pytest
 
 from motdiff.crops import exposure_gain
 from motdiff.estimators.lights import without_lights
-from tests.motdiff.estimators.test_multiscale import FakeSearch, line
+from tests.motdiff.estimators.test_blind_estimator import FakeSearch, line
 
 RNG = np.random.default_rng(0)
 SCENE = 0.5 * np.kron(RNG.random((16, 16)), np.ones((12, 12)))

@@ -8,7 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from motdiff.training.log import RunLog, read_log
-from motdiff.training.loop import Losses
+from motdiff.training.trainer import Losses
 
 LOSSES = Losses(total=1.5, path=1.0, dwell=2.5, gradient=0.75, smoothed=1.25)
 

@@ -11,7 +11,7 @@ from motdiff.estimators.motdiff.drawing import draw_psfs
 from motdiff.metrics import mnc_subpixel
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
-from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_card
+from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_network_card
 
 RECORDED = Path(__file__).with_name("shipped_psf.json")
 BENT = Trajectory.from_samples([[0, 0], [9, 2], [14, 12]])
@@ -43,7 +43,7 @@ def mean_draw():
 
 def test_they_are_small_and_say_what_they_are():
     assert DEFAULT_WEIGHTS.stat().st_size <= 15 * 2**20
-    card = read_card(DEFAULT_WEIGHTS)
+    card = read_network_card(DEFAULT_WEIGHTS)
     assert card["run"]["steps"] > 0
     assert {"photos", "samples", "validation"} <= set(card["card"])
     readme = DEFAULT_WEIGHTS.with_name("README.md").read_text(encoding="utf-8")

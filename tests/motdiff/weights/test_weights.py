@@ -13,12 +13,12 @@ from safetensors.torch import load_file, save_file
 from motdiff.network import MotDiffNetwork, NetworkConfig
 from motdiff.network.sampling import sample_paths
 from motdiff.training import weight_files as module
+from motdiff.training.batches import Batch
 from motdiff.training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig, read_config
-from motdiff.training.data import Batch
-from motdiff.training.loop import Trainer
+from motdiff.training.trainer import Trainer
 from motdiff.training.weight_files import export_weights, load_start
-from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_card
+from motdiff.weights import DEFAULT_WEIGHTS, load_network, read_network_card
 
 CONFIGS = Path(module.__file__).parents[1] / "configs"
 TINY = NetworkConfig(
@@ -150,7 +150,7 @@ def test_a_loaded_network_is_ready_to_use(exported):
 
 def test_a_file_says_what_it_is(trained, exported):
     trainer, folder = trained
-    found = read_card(exported)
+    found = read_network_card(exported)
     assert found["card"] == {"mnc": 0.91, "photos": ["a", "b"]}
     assert found["config"] == read_checkpoint(folder).config
     assert found["config"]["optimiser"]["window"] == 8
@@ -186,12 +186,12 @@ def test_weights_remember_all_runs_that_led_to_them(trained, tmp_path):
     trainer.update(Noise())
     trainer.save(tmp_path / "checkpoint")
     export_weights(tmp_path / "checkpoint", second, validation_mnc=0.7)
-    lines = read_card(second)["run"]["history"]
+    lines = read_network_card(second)["run"]["history"]
     assert [(line["samples"], line["validation_mnc"]) for line in lines] == [(4, 0.6), (3, 0.7)]
     rewritten(first, header={"history": None})  # as files of before
-    assert read_card(first)["run"]["history"] == []
+    assert read_network_card(first)["run"]["history"] == []
     export_weights(tmp_path / "checkpoint", second)
-    lines = read_card(second)["run"]["history"]
+    lines = read_network_card(second)["run"]["history"]
     assert [(line["samples"], line["validation_mnc"]) for line in lines] == [(4, None), (3, None)]
 
 
@@ -199,7 +199,7 @@ def test_a_photo_encoder_and_a_global_view_can_be_put_on_the_shipped_weights():
     """Until it is trained the network gives the shipped one's logits, less the offset that export
     took from them."""
     shipped = load_network()
-    offset = read_card(DEFAULT_WEIGHTS)["run"]["offset"]
+    offset = read_network_card(DEFAULT_WEIGHTS)["run"]["offset"]
     larger = MotDiffNetwork(
         replace(read_config(CONFIGS / "cpu_encoder.toml").network, denoiser_view=1)
     ).eval()
@@ -239,7 +239,7 @@ def test_a_start_of_other_sizes_is_refused(exported):
 
 def test_a_card_may_be_left_out(trained, tmp_path):
     size = export_weights(trained[1], tmp_path / "w.safetensors")
-    assert read_card(tmp_path / "w.safetensors")["card"] == {}
+    assert read_network_card(tmp_path / "w.safetensors")["card"] == {}
     assert size == (tmp_path / "w.safetensors").stat().st_size
 
 
@@ -315,7 +315,7 @@ def test_steps_of_steps_are_refused(exported):
     refused(load_network, exported, "its tensors do not fit")
 
 
-@pytest.mark.parametrize("call", [load_network, read_card])
+@pytest.mark.parametrize("call", [load_network, read_network_card])
 def test_what_are_no_weights_is_refused_in_one_line(tmp_path, call):
     refused(call, tmp_path / "none.safetensors", "cannot be read as weights")
     refused(call, tmp_path, "is a folder")
@@ -344,7 +344,7 @@ def test_what_are_no_weights_is_refused_in_one_line(tmp_path, call):
         ({"step": "many"}, "its header is not whole"),
     ],
 )
-@pytest.mark.parametrize("call", [load_network, read_card])
+@pytest.mark.parametrize("call", [load_network, read_network_card])
 def test_half_a_header_is_refused(exported, header, said, call):
     rewritten(exported, header=header)
     refused(call, exported, said)
@@ -380,4 +380,4 @@ def test_a_header_too_large_is_refused_before_it_is_parsed(tmp_path):
         ValueError,
         match=r"w\.safetensors: cannot be read as weights: its header has more than 16 MiB",
     ):
-        read_card(path)
+        read_network_card(path)

@@ -11,7 +11,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.proofs.certify.minimum import min_chip
 from cep.search.annealing.anneal import anneal, run_chains
-from cep.search.annealing.sweeps import sweep, sweep_tables, sweeps, swept
+from cep.search.annealing.sweeps import can_sweep, sweep_chain, sweep_loop, sweep_tables
 from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
 from cep.search.optima import proven_optimum
@@ -35,7 +35,7 @@ def fine_powers(objective, codes):
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_moves_keep_the_limits_and_the_deepest_codes(name):
     problem = PROBLEMS[name]
-    assert swept(problem)
+    assert can_sweep(problem)
     judge = CodeCost(problem, oversampling=64, dtype=np.float64)
     tables = sweep_tables(CodeCost(problem, oversampling=8), judge)
     random = np.array([77], np.uint64)
@@ -48,7 +48,7 @@ def test_moves_keep_the_limits_and_the_deepest_codes(name):
         before = deepest[0]
         assert (
             300
-            <= sweep(tables, code, random, 0.5, 300, deepest, best, found)
+            <= sweep_loop(tables, code, random, 0.5, 300, deepest, best, found)
             < 300 + problem.chips
         )
         assert problem.satisfied(code[None])[0]
@@ -74,7 +74,7 @@ def test_a_cold_sweep_only_improves():
     for _ in range(40):
         otf = np.einsum("n,npf->pf", code.astype(float), tables.by_chip.astype(float))
         costs.append(2.5 * np.log10(((otf**2).sum(axis=0) ** -4.0).sum()))
-        sweep(
+        sweep_loop(
             tables,
             code,
             random,
@@ -97,7 +97,8 @@ def test_a_zero_between_the_samples_of_the_moves_is_seen():
     tables = sweep_tables(objective, judge)
     codes = []
     chains = [
-        sweeps(problem, tables, moves=2**16, temperature_db=0.22, seed=seed) for seed in range(60)
+        sweep_chain(problem, tables, moves=2**16, temperature_db=0.22, seed=seed)
+        for seed in range(60)
     ]
     run_chains(chains, lambda _moves: True, codes.append, threads=1)
     for some in codes:
@@ -131,7 +132,7 @@ def test_the_seed_decides_not_the_threads():
         codes = []
         tables = sweep_tables(objective, judge)
         chains = [
-            sweeps(problem, tables, moves=300_000, temperature_db=0.3, seed=seed)
+            sweep_chain(problem, tables, moves=300_000, temperature_db=0.3, seed=seed)
             for seed in (1, 2, 3)
         ]
         run_chains(chains, lambda _moves: True, codes.append, threads=threads)
@@ -159,4 +160,4 @@ def test_the_seed_decides_not_the_threads():
     ],
 )
 def test_other_problems_are_searched_as_before(problem):
-    assert not swept(problem)
+    assert not can_sweep(problem)

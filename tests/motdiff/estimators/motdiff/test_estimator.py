@@ -26,7 +26,7 @@ from motdiff.progress import Progress
 from motdiff.simulate import blur_valid
 from motdiff.threads import one_thread
 from motdiff.training.config import DataConfig, TrainingConfig
-from motdiff.training.loop import Trainer
+from motdiff.training.trainer import Trainer
 from motdiff.training.weight_files import export_weights
 from motdiff.trajectory import Trajectory
 from motdiff.weights import load_correction

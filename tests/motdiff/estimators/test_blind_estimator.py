@@ -9,7 +9,7 @@ import torch
 from threadpoolctl import threadpool_info
 
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.multiscale import BlindEstimator
+from motdiff.estimators.blind_estimator import BlindEstimator
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import without_faint_parts
 from motdiff.simulate import blur_valid
@@ -75,7 +75,7 @@ def undoubted(monkeypatch):
         asked.append((crops, given))
         return estimate
 
-    monkeypatch.setattr("motdiff.estimators.multiscale.doubted", kept)
+    monkeypatch.setattr("motdiff.estimators.blind_estimator.doubted", kept)
     return asked
 
 
@@ -405,7 +405,7 @@ def test_warnings_come_in_the_order_of_what_was_done(monkeypatch):
         asked.append((crops, own, shared))
         return "uneven"
 
-    monkeypatch.setattr("motdiff.estimators.multiscale.uneven_blur_warning", judged)
+    monkeypatch.setattr("motdiff.estimators.blind_estimator.uneven_blur_warning", judged)
     search = FakeSearch(
         (LONG, 0.1), (line(), 0.6), singles=kernels, warnings=("the search says this",)
     )

@@ -12,7 +12,7 @@ from motdiff.blind_search.grids import mirrored
 from motdiff.network.physics_maps import display_photo, physics_maps, quick_kernels
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.training import samples as samples_module
-from motdiff.training.data import Batch, LiveSource, PreparedSource, seed_of
+from motdiff.training.batches import Batch, LiveSource, PreparedSource, seed_of
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.samples import Samples, simulate
 from motdiff.training.simulation import Photography

@@ -29,9 +29,9 @@ from motdiff.network.diffusion import (
 )
 from motdiff.network.sampling import PathSamples, sample_paths
 from motdiff.psf_frame import PSF_PX
+from motdiff.training.batches import Batch, BatchSource, seed_of
 from motdiff.training.checkpoint import Checkpoint, adam_moments, read_checkpoint, write_checkpoint
 from motdiff.training.config import LossConfig, OptimiserConfig, TrainingConfig
-from motdiff.training.data import Batch, BatchSource, seed_of
 from motdiff.training.weight_files import PHOTO_PARTS, load_start
 
 _SMOOTH = 0.95  # decay of the running mean of the loss, over about twenty steps

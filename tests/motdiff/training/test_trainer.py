@@ -12,14 +12,14 @@ from motdiff.network import NetworkConfig
 from motdiff.network.diffusion import cosine_schedule, denoising_loss, dwell_loss, structure_loss
 from motdiff.network.physics_maps import spectral_maps
 from motdiff.network.sampling import sample_paths
-from motdiff.training import loop as module
+from motdiff.training import trainer as module
+from motdiff.training.batches import Batch, LiveSource
 from motdiff.training.checkpoint import read_checkpoint
 from motdiff.training.config import DataConfig, LossConfig, OptimiserConfig, TrainingConfig
-from motdiff.training.data import Batch, LiveSource
-from motdiff.training.loop import Trainer, learning_rate, loss_of
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.training.samples import simulate
 from motdiff.training.simulation import Photography
+from motdiff.training.trainer import Trainer, learning_rate, loss_of
 from motdiff.training.weight_files import export_weights
 
 TINY = NetworkConfig(

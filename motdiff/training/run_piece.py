@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 
 from motdiff.metrics import mnc
 from motdiff.network.sampling import psfs_of_maps
+from motdiff.training.batches import VALIDATION_SEED, Batch, make_sources
 from motdiff.training.config import TrainingConfig
-from motdiff.training.data import VALIDATION_SEED, Batch, make_sources
 from motdiff.training.log import RunLog
-from motdiff.training.loop import Trainer
+from motdiff.training.trainer import Trainer
 
 _SAMPLING_STEPS = 10
 _TRIAL_PHOTOS = 2  # timed, to predict how long a validation takes

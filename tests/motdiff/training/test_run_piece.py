@@ -24,15 +24,15 @@ from motdiff.network import NetworkConfig
 from motdiff.network.physics_maps import quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module
+from motdiff.training.batches import LiveSource, PreparedSource, Sources, make_sources
 from motdiff.training.checkpoint import read_checkpoint
 from motdiff.training.config import DataConfig, OptimiserConfig, TrainingConfig
-from motdiff.training.data import LiveSource, PreparedSource, Sources, make_sources
 from motdiff.training.log import read_log
-from motdiff.training.loop import Losses, Trainer
 from motdiff.training.motion_bank import MotionMix
 from motdiff.training.prepared import Source, prepare, read_shards
-from motdiff.training.run import Pace, train, validation_mnc
+from motdiff.training.run_piece import Pace, train, validation_mnc
 from motdiff.training.simulation import Photography
+from motdiff.training.trainer import Losses, Trainer
 
 ROOT = Path(__file__).resolve().parents[3]
 SHORT = MotionMix(max_length_px=12)
@@ -243,10 +243,10 @@ def on_a_clock(monkeypatch):
         clock.seconds += clock.photo_s * photos
         return np.full(photos, 0.5)
 
-    monkeypatch.setattr("motdiff.training.run.time", clock)
-    monkeypatch.setattr("motdiff.training.run.make_sources", sources)
-    monkeypatch.setattr("motdiff.training.run.Trainer.update", update)
-    monkeypatch.setattr("motdiff.training.run.validation_scores", scores)
+    monkeypatch.setattr("motdiff.training.run_piece.time", clock)
+    monkeypatch.setattr("motdiff.training.run_piece.make_sources", sources)
+    monkeypatch.setattr("motdiff.training.run_piece.Trainer.update", update)
+    monkeypatch.setattr("motdiff.training.run_piece.validation_scores", scores)
     return clock
 
 
@@ -342,7 +342,8 @@ def test_a_finished_run_stays_as_it_is(prepared, tmp_path):
 def test_a_piece_saves_as_often_as_asked(prepared, tmp_path, monkeypatch):
     saves = []
     monkeypatch.setattr(
-        "motdiff.training.run.Trainer.save", lambda trainer, _folder: saves.append(trainer.step)
+        "motdiff.training.run_piece.Trainer.save",
+        lambda trainer, _folder: saves.append(trainer.step),
     )
     config = from_prepared(prepared, optimiser=replace(ONCE, steps=3))
     train(config, tmp_path, pace=Pace(save_s=0))
@@ -394,7 +395,7 @@ def test_a_second_signal_does_not_wait(prepared, tmp_path, monkeypatch):
         signal.raise_signal(signal.SIGINT)
         signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr("motdiff.training.run.Trainer.update", impatient)
+    monkeypatch.setattr("motdiff.training.run_piece.Trainer.update", impatient)
     with pytest.raises(KeyboardInterrupt):
         train(from_prepared(prepared), tmp_path)
 
@@ -490,7 +491,7 @@ TOGETHER = """
 import os, signal, torch
 from pathlib import Path
 from motdiff.training.config import read_config
-from motdiff.training.run import Trainer, train
+from motdiff.training.run_piece import Trainer, train
 
 torch.set_num_threads(1)
 rank = int(os.environ["RANK"])
