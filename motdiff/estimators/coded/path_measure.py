@@ -16,7 +16,7 @@ from motdiff.types import FloatArray
 _BLUR_PX = 0.7  # the path moves on whole pixels, kernels estimated apart do not match to one
 _FAINT = 0.03  # of the peak: where the path may be, and a pixel around it
 _LONGEST_STEP_PX = 3
-_STEPS = 52  # of a path that every code leaves open throughout
+_OPEN_STEPS = 52  # of a path that every code leaves open throughout
 # of a step against the one before; a few turn sharply
 _TURN_PX = 0.9
 _SHARP_TURN_PX = 2.0
@@ -27,6 +27,11 @@ _SHORTER = 0.9
 _FLOOR = 2e-3  # of the brightest: light below it is not matched
 _SPREAD_PX = 1.0  # of the light of a path that is not right to a pixel
 _SMOOTHED_STEPS = 1.0  # sigma: paths on whole pixels are jagged
+# lengths of redrawn stretches, as shares of the path: of one alone, and of two that exchange light
+_REROUTED = (0.15, 0.5)
+_EXCHANGED = (0.06, 0.2)
+_SHORTEST = 3  # steps
+_NEAR_PX = 2.5  # stretches of which one may take the other's light
 _LEAST_LOG = -16.0  # a pixel is never quite forbidden
 
 
@@ -62,7 +67,7 @@ class PathMeasure:
         self._before, self._after = _neighbours(self._support)
         self._turns = _turns()
         lengths = [len(code) for code in codes if "0" in code]
-        bits = open_at(codes, middles(max(lengths, default=_STEPS)))
+        bits = open_at(codes, middles(max(lengths, default=_OPEN_STEPS)))
         light = lights[:, self._support] / lights[0, self._support].sum()
         self._centroid = light[0] @ self._points
         self._times, self._targets = _told(bits, light)
@@ -82,35 +87,71 @@ class PathMeasure:
         What the rest of the path leaves of each kernel's light weighs the pixels; the stretch is
         drawn between its ends, an end of the exposure being free.
         """
-        steps = self._times.shape[1]
-        times = middles(steps)
+        length = int(self._steps * rng.uniform(*_REROUTED))
+        start = int(rng.integers(-length // 2, self._steps - length // 2))
+        return self._redrawn(path, [self._stretch(start, length)], rng)
+
+    def exchanged(self, path: FloatArray, *, rng: np.random.Generator) -> FloatArray | None:
+        """Path (K, 2), px, with two short stretches, near each other, led anew; None without any.
+
+        Either may take the other's light: led alone, each comes back to where it was, as long as
+        the other one holds that.
+        """
+        lengths = np.maximum(_SHORTEST, (self._steps * rng.uniform(*_EXCHANGED, 2)).astype(int))
+        start, stop = self._stretch(
+            int(rng.integers(-lengths[0] // 2, self._steps - lengths[0] // 2)), lengths[0]
+        )
+        starts = np.arange(self._steps) - lengths[1] // 2
+        is_apart = (starts + lengths[1] <= start) | (starts >= stop)
+        positions = interpolated(middles(self._steps), np.linspace(0, 1, len(path)), path)
+        distance = np.linalg.norm(positions[:, None] - positions[start:stop], axis=-1).min(axis=1)
+        chance = is_apart * np.exp(-0.5 * (distance / _NEAR_PX) ** 2)
+        if not chance.sum() > 0:
+            return None
+        partner = self._stretch(int(rng.choice(starts, p=chance / chance.sum())), lengths[1])
+        return self._redrawn(path, [(start, stop), partner], rng)
+
+    @property
+    def _steps(self) -> int:
+        return int(self._times.shape[1])
+
+    def _stretch(self, start: int, length: int) -> tuple[int, int]:
+        """Return the first step and the one after the last, within the exposure."""
+        return max(0, start), min(self._steps, start + length + 1)
+
+    def _redrawn(
+        self, path: FloatArray, stretches: Sequence[tuple[int, int]], rng: np.random.Generator
+    ) -> FloatArray:
+        """Path (K, 2) with stretches of steps drawn in turn, each from the light that is left."""
+        times = middles(self._steps)
         knots = np.linspace(0, 1, len(path))
         shift = self._centroid - path.mean(axis=0)
         positions = interpolated(times, knots, path + shift)
-        length = int(steps * rng.uniform(0.15, 0.5))
-        start = int(rng.integers(-length // 2, steps - length // 2))
-        stop = min(steps, start + length + 1)
-        start = max(0, start)
-        outside = np.ones(steps)
-        outside[start:stop] = 0
-        lacking = np.maximum(self._targets - self._light_of(positions, outside), self._floor)
+        is_held = np.ones(self._steps)
+        for start, stop in stretches:
+            is_held[start:stop] = 0
+        redrawn = path.copy()
+        for start, stop in stretches:
+            weights = self._weights_left(positions, is_held)[start:stop]
+            for index, is_end in ((0, start == 0), (-1, stop == self._steps)):
+                if not is_end:
+                    at = positions[start if index == 0 else stop - 1]
+                    weights[index] = np.exp(-0.5 * ((self._points - at) ** 2).sum(axis=1)) + 1e-9
+            positions[start:stop] = self._drawn_back(self._forward(weights), 1, rng)[0]
+            is_held[start:stop] = 1
+            smooth = ndimage.gaussian_filter1d(positions, _SMOOTHED_STEPS, axis=0, mode="nearest")
+            is_new = (knots >= (times[start] if start else 0)) & (
+                knots <= (times[stop - 1] if stop < self._steps else 1)
+            )
+            redrawn[is_new] = interpolated(knots[is_new], times, smooth) - shift
+        return redrawn
+
+    def _weights_left(self, positions: FloatArray, is_held: FloatArray) -> FloatArray:
+        """Weights (T, P) of pixels by the light that a path (T, 2) leaves at the steps held."""
+        lacking = np.maximum(self._targets - self._light_of(positions, is_held), self._floor)
         lacking /= lacking.max(axis=1, keepdims=True)
-        covering = self._times[:, start:stop]
-        weights = np.exp(
-            covering.T @ np.log(lacking) / np.maximum(covering.sum(axis=0), 1)[:, None]
-        )
-        for index, is_end in ((0, start == 0), (-1, stop == steps)):
-            if not is_end:
-                at = positions[start if index == 0 else stop - 1]
-                weights[index] = np.exp(-0.5 * ((self._points - at) ** 2).sum(axis=1)) + 1e-9
-        positions[start:stop] = self._drawn_back(self._forward(weights), 1, rng)[0]
-        smooth = ndimage.gaussian_filter1d(positions, _SMOOTHED_STEPS, axis=0, mode="nearest")
-        rerouted = path.copy()
-        stretch = (knots >= (times[start] if start else 0)) & (
-            knots <= (times[stop - 1] if stop < steps else 1)
-        )
-        rerouted[stretch] = interpolated(knots[stretch], times, smooth) - shift
-        return rerouted
+        covering = self._times.T / np.maximum(self._times.sum(axis=0), 1)[:, None]
+        return np.asarray(np.exp(covering @ np.log(lacking)))
 
     def _light_of(self, positions: FloatArray, share: FloatArray) -> FloatArray:
         """Light (M, P) of a path (T, 2) at the times that each target tells of, times a share."""

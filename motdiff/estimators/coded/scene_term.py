@@ -30,7 +30,7 @@ _LEAST_WEIGHT = 0.02  # of a frequency that shows nothing but noise
 _AT_ONCE = 8  # candidates, as many as fit the cache
 _SLOWEST_CY_PX = 1 / 64  # slower light is taken away
 # the curvature is summed over so many frequencies, drawn once, for each value that a step changes
-_FREQUENCIES_PER_UNKNOWN = 12
+_FREQUENCIES_PER_UNKNOWN = 6
 
 
 @dataclass(frozen=True)

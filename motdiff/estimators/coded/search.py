@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from itertools import cycle
 
 import numpy as np
 import torch
@@ -56,17 +55,17 @@ _STARTS: Schedule = ((MIDDLE, 2, 32), (MIDDLE, 3, 16), (NEAR, 2, 12), (FINEST, 4
 # more rounds and patience, as each round changes less
 _EVOLUTION = Evolution(rounds=20, patience=5, improved=0.998, population=8)
 _CHILDREN = 32  # of a round
-# in turn: a child far from a minimum comes to one loosely, one nearby is led away by that
-_CHILD_SCHEDULES: tuple[Schedule, ...] = (
-    ((LOOSE, 2, 20), (MIDDLE, 3, 8), (FINEST, 4, 8)),
-    ((MIDDLE, 4, 16), (NEAR, 4, 8), (FINEST, 4, 8)),
-)
+_CHILD_FIT: Schedule = ((MIDDLE, 4, 16), (MIDDLE, 4, 12), (NEAR, 3, 8), (FINEST, 4, 8))
 _RESULTS = 6  # handed on with all knots
 _LAST: Schedule = ((FINEST, 4, 4), (FINEST, 21, 4))
-# shares of the children; the others are bridged
-_REROUTED = 0.35
-_REORDERED = 0.25
-_CROSSED = 0.15
+# kinds of children; more of those that were cheaper than their parents more often
+_CHILD_SHARES = {
+    "rerouted": 0.17,
+    "exchanged": 0.37,
+    "reordered": 0.13,
+    "crossed": 0.2,
+    "bridged": 0.13,
+}
 
 
 def find_paths(
@@ -176,31 +175,33 @@ class _SceneSearch(PhotoFit):
         spend: Callable[[float], None],
     ) -> tuple[Tensor, Tensor]:
         """Candidates and costs, best first, after changes of the best ones while that helps."""
-        schedules = cycle(_CHILD_SCHEDULES)
 
         def changed(parents: Tensor) -> tuple[Tensor, Tensor]:
             children = self._children(self.paths(parents), rng)
-            return self.fitted(self.registered(children), next(schedules))
+            return self.fitted(self.registered(children), _CHILD_FIT)
 
         return _EVOLUTION.run(self.unknowns, x, costs, changed=changed, spend=spend)
 
     def _children(self, paths: FloatArray, rng: np.random.Generator) -> FloatArray:
         """Change parents drawn from (N, K, 2), the first likelier.
 
-        A stretch is led through the light that the rest of the path leaves, loops come in another
-        order, a stretch of another path is taken, or one drawn anew between its ends.
+        A stretch is led through the light that the rest of the path leaves, two stretches exchange
+        theirs, loops come in another order, a stretch of another path is taken, or one drawn anew
+        between its ends.
         """
         chance = np.exp(-0.3 * np.arange(len(paths)))
         parents = rng.choice(len(paths), _CHILDREN, p=chance / chance.sum())
+        kinds = rng.choice(list(_CHILD_SHARES), _CHILDREN, p=list(_CHILD_SHARES.values()))
         children = []
-        for path in paths[parents]:
-            kind = rng.random()
+        for path, kind in zip(paths[parents], kinds, strict=True):
             child = None
-            if kind < _REROUTED:
+            if kind == "rerouted":
                 child = self.measure.rerouted(path, rng=rng)
-            elif kind < _REROUTED + _REORDERED:
+            elif kind == "exchanged":
+                child = self.measure.exchanged(path, rng=rng)
+            elif kind == "reordered":
                 child = loops_reordered(path, rng=rng)
-            elif kind < _REROUTED + _REORDERED + _CROSSED:
+            elif kind == "crossed":
                 child = crossed(path, paths[rng.integers(len(paths))], rng=rng)
             if child is None:
                 child = bridged(path, self._walks(rng, 1)[0], rng=rng)
