@@ -29,8 +29,10 @@ _LEAST_NOISE = 1e-3  # of full scale: 8 bits round by that, and files that were 
 _LEAST_WEIGHT = 0.02  # of a frequency that shows nothing but noise
 _AT_ONCE = 8  # candidates, as many as fit the cache
 _SLOWEST_CY_PX = 1 / 64  # slower light is taken away
-# the curvature is summed over so many frequencies, drawn once, for each value that a step changes
-_FREQUENCIES_PER_UNKNOWN = 6
+# the curvature is summed over a sample of the frequencies, drawn once: for each value that a step
+# changes it holds so many independent values of the photos, and at least so many frequencies
+_VALUES_PER_UNKNOWN = 6
+_FREQUENCIES_PER_UNKNOWN = 4
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,8 @@ class SceneTerm:
         """Number of squares, each by its weight: the expected cost of the true path."""
         index = torch.nonzero(spectra.mask.flatten()).squeeze(1)
         slopes = (_power(spectra.photos).sum(0) * radius**2 / self._variance).flatten()[index]
-        count = _FREQUENCIES_PER_UNKNOWN * unknowns.kernel_shift(0) / (unknowns.exposures - 1)
+        per_unknown = max(_FREQUENCIES_PER_UNKNOWN, _VALUES_PER_UNKNOWN / (unknowns.exposures - 1))
+        count = per_unknown * unknowns.kernel_shift(0)
         # in proportion to what they tell; half for all alike, so that none counts for many
         chance = (0.5 * count / len(f) * (1 + slopes / slopes.mean())).clamp(max=1).numpy()
         sample = _sampled(chance, np.random.default_rng(0))
