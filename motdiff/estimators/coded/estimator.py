@@ -18,7 +18,7 @@ from motdiff.estimators.coded.candidates import (
 )
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.exposures import Exposures, exposures_of
-from motdiff.estimators.coded.search import find_paths
+from motdiff.estimators.coded.search import CLEARLY_DEARER, find_paths
 from motdiff.progress import Progress
 from motdiff.threads import one_thread_a_call
 
@@ -29,7 +29,7 @@ _FIT_SHARE = 0.8  # the search of the path
 # where one did, each by how much dearer the next path is: above the one limit, above the other, or
 # below both
 _ONE_PHOTO = 0.05
-_DEARER = (75.0, 40.0)
+_DEARER = (75.0, CLEARLY_DEARER)
 _SHARES_AGREED = (0.97, 0.85, 0.7)
 _SHARES_ALONE = (0.8, 0.4, 0.4)
 _ERROR_RATIO = 2.8  # of true to computed error
@@ -45,9 +45,9 @@ class CodedEstimator:
     The kernels are searched, in photos of one scene together. Photos of one scene are then
     searched themselves, from paths that share the kernels' light and from random motions: one
     photo blurred by the PSF of another must equal the other blurred by the first's. The best are
-    changed and fitted again, in searches of their own until two of them agree, four at most. Where
-    the photos show no one scene, paths decoded from the kernels, orders of the traced path and
-    random walks are fitted to the kernels.
+    changed and fitted again, in searches of their own until two of them agree, and no other path
+    is nearly as cheap, four at most. Where the photos show no one scene, paths decoded from the
+    kernels, orders of the traced path and random walks are fitted to the kernels.
 
     ``confidence`` is the probability that the order is right: the share of simulated motions of
     which it was, with as many searches that agree and a next path so much dearer; less where the

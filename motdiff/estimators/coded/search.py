@@ -42,6 +42,8 @@ from motdiff.progress import Progress
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
+CLEARLY_DEARER = 40.0
+"""By how much the next path must be dearer for the search to end at the first agreement."""
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
 _DRAWS = 64  # starts of a search from the kernels' light
 _LONE_WALKS = 32  # and without it
@@ -77,8 +79,8 @@ def find_paths(
 ) -> tuple[list[CandidatePath], int]:
     """Find the paths that explain the photos best.
 
-    Photos of one scene are searched, until two searches end at one path that explains them, four
-    at most; else their kernels are.
+    Photos of one scene are searched, until two searches end at one path that explains them, and
+    no other is nearly as cheap, four at most; else their kernels are.
 
     Parameters
     ----------
@@ -111,7 +113,8 @@ def _scene_paths(
 ) -> tuple[list[CandidatePath], int]:
     """Paths that explain photos of one scene, best first, and how many searches ended at the best.
 
-    Searches are repeated until two of them end at one path that explains the photos, four at most.
+    Searches are repeated until two of them end at one path that explains the photos, and no other
+    is nearly as cheap, four at most.
     """
     search = _SceneSearch(exposures, spectra)
     share = 0.7 / _MOST_SEARCHES
@@ -123,22 +126,23 @@ def _scene_paths(
             for generator in rng.spawn(_SEARCHES_AT_ONCE)
         ]
         results += side_by_side(searches)
-        x, _, times = merged(search.unknowns, results, keep=_RESULTS, same_px=SAME_PX)
-        is_agreed = times > 1 and search.misfit(x[:1]) <= EXPLAINED
+        x, costs, times = merged(search.unknowns, results, keep=_RESULTS, same_px=SAME_PX)
+        # paths nearly as cheap may be one search's fault: a path cheaper than both is often missed
+        is_clear = len(costs) == 1 or float(costs[1] - costs[0]) > CLEARLY_DEARER
+        is_agreed = times > 1 and is_clear and search.misfit(x[:1]) <= EXPLAINED
     spend(share * (_MOST_SEARCHES - len(results)))
+    fine = PhotoFit(exposures, spectra)
+    searched_path = fine.paths(search.unknowns.resampled(x, KNOTS))[0]
     if is_agreed:
         spend(0.15)
     else:  # what each of them has right may belong together
         x, costs = search.fitted(x, ((FINEST, 2, _RESULTS),))
         x, _ = search.evolved(x, costs, rng, spend=lambda s: spend(0.15 * s))
         x = x[:_RESULTS]
-    fine = PhotoFit(exposures, spectra)
-    x = search.unknowns.resampled(x, KNOTS)
-    searched_path = fine.paths(x)[0]
-    x, costs = fine.fitted(x, _LAST)
+    x, costs = fine.fitted(search.unknowns.resampled(x, KNOTS), _LAST)
     spend(0.15)
     paths = fine.described(fine.beside_photos(FINEST), x, costs)
-    # with more knots another path may be the best, at which no other search ended
+    # changed, or with more knots, another path may be the best, at which no other search ended
     return paths, times if rms_distance_px(paths[0].path, searched_path) < SAME_PX else 1
 
 
