@@ -90,6 +90,41 @@ def test_a_rerouted_path_keeps_the_rest_and_its_joints():
     assert (given == truth).all()
 
 
+def test_two_stretches_that_hold_each_others_light_exchange_it():
+    codes = (OPEN, RASKAR)
+    there = 24 * np.linspace(0, 1, 201) - 12
+    bulge = 2 * np.exp(-((there / 3) ** 2))
+    points = np.concatenate([np.stack([there, bulge], 1), np.stack([there[::-1], -bulge], 1)])
+    truth = Trajectory.from_samples(points, direction="known")
+    measure = PathMeasure(kernels_of(truth, codes), codes)
+    wrong = truth.at(np.linspace(0, 1, KNOTS)) * [1, -1]  # out below and back above
+    before = distances(wrong[None], truth)[0]
+    rng = np.random.default_rng(5)
+    exchanged = [measure.exchanged(wrong, rng=rng) for _ in range(200)]
+    rerouted = [measure.rerouted(wrong, rng=rng) for _ in range(200)]
+    assert distances(np.stack(exchanged), truth).min() < 0.6 * before
+    # one alone finds no light but its own
+    assert distances(np.stack(rerouted), truth).min() > 0.6 * before
+
+
+def test_exchanged_stretches_are_apart_and_keep_the_rest():
+    codes = (OPEN, HALF)
+    measure = PathMeasure(kernels_of(BENT, codes), codes)
+    given = BENT.at(np.linspace(0, 1, KNOTS))
+    rng = np.random.default_rng(6)
+    stretches = []
+    for _ in range(40):
+        child = measure.exchanged(given, rng=rng)
+        if child is None:
+            continue
+        changed = np.abs(child - given).max(axis=1) > 0
+        assert changed.sum() <= 0.55 * KNOTS
+        stretches.append(int((np.diff(changed.astype(int), prepend=0) == 1).sum()))
+        assert np.linalg.norm(np.diff(child, axis=0), axis=1).max() < 3 * 52 / 26 + 2
+    assert set(stretches) <= {0, 1, 2}  # side by side they are one
+    assert 2 in stretches
+
+
 def test_a_path_that_leaves_the_kernels_frame_is_led_back():
     codes = (OPEN, HALF)
     measure = PathMeasure(kernels_of(BENT, codes), codes)
