@@ -236,7 +236,6 @@ def estimate_motion(
     if isinstance(method, Method):
         check_number(photos, method)
         check_all(photos, method)
-        label = method.name
         estimator = method.load(seed=seed, progress=progress)
         is_together = hasattr(estimator, "estimate_from")
     else:

@@ -17,7 +17,6 @@ _MEMORY_PX = 5 * _SMOOTHING_PX
 _UNCOVERED_COST = 0.8  # per pixel of line left out
 _REPEAT_COST = 0.03  # per pixel passed again
 _GAP_COST = 0.6  # per pixel of a gap jumped
-_EXTRA_WEIGHT = 1.0
 _BURIED_END_COST = 1.0  # for an end of the path that is no loose end of the lines
 # a hand that stops and turns back is likelier than its bend of 180 degrees looks
 _REVERSAL_RELIEF = 2.0
@@ -99,7 +98,7 @@ class _TrailSearch:
             self._leaving.setdefault(line.start, []).append(i)
         self._optional = [branch.optional for branch in graph.branches]
         self._weight = [branch.weight for branch in graph.branches]
-        self._extra_px = [_EXTRA_WEIGHT * branch.extra_px for branch in graph.branches]
+        self._extra_px = [branch.extra_px for branch in graph.branches]
         self._buried = {
             node: _BURIED_END_COST * (len(steps) > 1) for node, steps in self._leaving.items()
         }

@@ -1,11 +1,13 @@
-"""Records of photos: those of photos taken together state one motion, or none."""
+"""Records of photos: those of photos taken together state one motion, or none; damaged ones are
+refused."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cep.files.shot_files import ShotRecord, stated_motion
+from cep.files.shot_files import ShotRecord, record_beside, stated_motion
 from cep.optics.code import ShutterCode
 from motdiff.trajectory import Trajectory
 
@@ -27,3 +29,27 @@ def test_two_motions_are_refused():
     other = replace(RECORD, trajectory=LINE.scaled(1.1))
     with pytest.raises(ValueError, match=r"^b.tif: its record has another motion than .* a.tif"):
         stated_motion(PHOTOS, [replace(RECORD, trajectory=LINE), other])
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("code", {"bits": "1101"}),
+        ("code", {"bits": "1101", "chip_ns": 0}),
+        ("bits", 0),
+        ("bits", 17),
+        ("black_level", -1),
+        ("black_level", 255),
+        ("bayer", "xyzw"),
+        ("gamma", "2.2"),
+        ("problems", "blurred"),
+    ],
+)
+def test_a_damaged_record_is_refused_by_its_name(field, value, tmp_path):
+    path = tmp_path / "photo.json"
+    path.write_text(json.dumps(RECORD.to_dict()))
+    assert record_beside(tmp_path / "photo.tif") == RECORD
+    path.write_text(json.dumps({**RECORD.to_dict(), field: value}))
+    with pytest.raises(ValueError, match=r"photo\.json: .") as refused:
+        record_beside(tmp_path / "photo.tif")
+    assert field in str(refused.value)

@@ -84,6 +84,20 @@ def test_three_flips_of_a_known_code():
     assert found[1].minimum == pytest.approx(1.6170, abs=1e-4)
 
 
+@pytest.mark.parametrize(("chips", "flips"), [(52, 3), (256, 3), (257, 2)])
+def test_three_flips_are_tried_of_256_chips_and_two_of_more(chips, flips, monkeypatch):
+    tried = []
+
+    def none_better(code, trajectory=None, *, flips):
+        tried.append(flips)
+        return ()
+
+    monkeypatch.setattr("cep.proofs.audit.better_neighbours", none_better)  # takes a minute
+    code = ShutterCode(np.random.default_rng(0).integers(0, 2, chips))
+    assert audit(code).flips == flips
+    assert tried == [flips]
+
+
 def test_four_flips_are_refused():
     with pytest.raises(ValueError, match="flips: must be 0 to 3"):
         better_neighbours(PUBLISHED["bdinr-8"], flips=4)

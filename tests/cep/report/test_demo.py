@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cep.files.code_files import read_code
+from cep.files.code_files import read_code, stored_device
 from cep.files.images import read_photo
 from cep.optics.camera import Camera
 from cep.report.chain import STANDARD_CAMERA, run_chain
@@ -204,6 +204,17 @@ def test_files_and_figures(coded, demo_of):
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     with pytest.raises(ValueError, match="use --force"):
         write_demo(folder, coded)
+
+
+def test_the_code_is_kept_with_its_shutter(coded, monkeypatch, tmp_path):
+    """With all limits of a profile of one's own, which has no other file there."""
+    own = DeviceProfile(name="own-shutter", tick_ns=125, min_on_ns=1000)
+    # they take most of the time
+    monkeypatch.setattr("cep.report.page.pictures", lambda chain: {})
+    monkeypatch.setattr("cep.report.page.html", lambda *_chain, **_options: "")
+    write_demo(tmp_path / "out", replace(coded, device=own))
+    stored = read_code(tmp_path / "out" / "code.json")
+    assert stored_device(stored, source="code.json") == own
 
 
 @pytest.mark.slow  # the whole demo of a set

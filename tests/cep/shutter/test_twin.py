@@ -6,6 +6,7 @@ import pytest
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
+from cep.photographs.scenes import NAMES, photographs
 from cep.shutter.twin import MovingScene, TwinOptions, code_values, openings_s
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
@@ -110,3 +111,8 @@ def test_a_wrong_address_is_refused(address, words):
 def test_a_scene_that_is_not_there_is_refused():
     with pytest.raises(ValueError, match="is no file, and none of camera"):
         TwinOptions(scene="moon").light()
+
+
+def test_a_scene_by_its_name_is_the_photograph_of_that_name():
+    for name, photograph in zip(NAMES, photographs(), strict=True):
+        assert np.array_equal(TwinOptions.parse(f"scene={name}").light(), photograph)

@@ -51,6 +51,19 @@ def test_the_verdict_does_not_depend_on_what_was_judged_before():
         assert bench.verdict(code).sentence == LiveBench(problem).verdict(code).sentence
 
 
+def test_the_verdict_follows_the_error_of_the_path():
+    """A path known less well restores every photo less well."""
+    code = ShutterCode("11010001")
+    bench = LiveBench(SearchProblem.along(Trajectory.straight(10.0), chips=8, camera=CAMERA))
+    known = {way.code.bits: way.psnr_db for way in bench.verdict(code).exposures}
+    unsure = {
+        way.code.bits: way.psnr_db for way in bench.verdict(code, path_error_px=1.0).exposures
+    }
+    assert code.bits in known
+    assert "11111111" in known
+    assert all(unsure[bits] < psnr_db for bits, psnr_db in known.items())
+
+
 def test_gains_are_the_models_shifted_by_what_photographs_show():
     problem = SearchProblem.along(
         example_motion("shake"), chips=16, exposure_s=0.02, camera=CAMERA, objective="mse"

@@ -11,7 +11,7 @@ import pytest
 from emulators.tools import give_up
 
 from hw.cameras import genicam, open_camera
-from hw.cameras.camera import CameraSettings, FrameLostError, Trigger
+from hw.cameras.camera import CameraError, CameraSettings, FrameLostError, Trigger
 from hw.cameras.pixel_formats import pixel_format
 
 os.environ["PYLON_CAMEMU"] = "2"  # read once, when pypylon lists its cameras for the first time
@@ -184,6 +184,24 @@ def test_a_line_is_kept_that_the_user_had_chosen(camera):
 def test_what_the_camera_cannot_take_is_one_line(camera, settings, line):
     with pytest.raises(ValueError, match=line) as error:
         camera.configure(CameraSettings(**({"exposure_s": 0.01} | settings)))
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("access", "arguments"),
+    [
+        ("get", ("Flavour",)),
+        ("set", ("Flavour", 1)),
+        ("entries", ("Flavour",)),
+        ("bounds", ("Flavour",)),
+        ("unit", ("Flavour",)),
+        ("execute", ("Flavour",)),
+    ],
+)
+def test_a_feature_that_fails_is_one_line_of_the_camera(camera, access, arguments):
+    with pytest.raises(CameraError) as error:
+        getattr(camera.features, access)(*arguments)
+    assert str(error.value).strip()
     assert "\n" not in str(error.value)
 
 

@@ -379,6 +379,13 @@ def test_firmware_that_works(firmware):
         assert output(device) == expected(PROGRAM)
 
 
+def test_a_handshake_that_only_noise_answers_is_repeated():
+    port = ScriptedPort(("d5 48", "00 ff 67"), HELLO)
+    link = PulsePalLink(port, name="script", timeout_s=0.05)
+    link.hello(hello_s=0.5)
+    assert (link.firmware, link.retries) == (21, 1)
+
+
 def test_lost_and_late_handshakes_are_sorted_out():
     # An ABORT and its handshake together take longer than the timeout: the second answer comes
     # among other replies.

@@ -38,6 +38,16 @@ def test_fast_sizes_are_even_5_smooth_and_not_smaller():
         assert rest == 1
 
 
+def test_a_shift_moves_maps_down_and_right_and_brings_in_zeros():
+    maps = np.random.default_rng(0).random((3, 2, 4, 9))
+    shifts = [(1, -2), (-3, 6), (5, 0)]  # the last one leaves nothing
+    moved = grids.shifted(tensor(maps), torch.tensor(shifts))
+    expected = [
+        ndimage.shift(one, (0, *by), order=0) for one, by in zip(maps, shifts, strict=True)
+    ]
+    np.testing.assert_allclose(moved.numpy(), expected, atol=1e-6)
+
+
 @pytest.mark.parametrize("side", [5, 8])
 def test_otf_is_that_of_a_kernel_centred_at_half_its_side(side):
     rng = np.random.default_rng(0)

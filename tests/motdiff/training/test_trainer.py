@@ -120,6 +120,41 @@ def test_only_the_photo_encoder_learns_where_asked(tmp_path):
     }
 
 
+# ---- several processes
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_processes_exchange_the_gradients_of_a_step(compiled, monkeypatch):
+    """Of all weights, compiled or not; one of two processes, in a group of its own."""
+    exchanged = []
+
+    class Watched(torch.nn.parallel.DistributedDataParallel):
+        def __init__(self, network):
+            super().__init__(network)
+            self.register_comm_hook(exchanged, self.exchange)
+
+        @staticmethod
+        def exchange(seen, bucket):
+            seen.extend(bucket.parameters())
+            done = torch.futures.Future()
+            done.set_result(bucket.buffer())
+            return done
+
+    monkeypatch.setattr(torch.nn.parallel, "DistributedDataParallel", Watched)
+    monkeypatch.setattr(torch, "compile", lambda model: model)  # takes a minute
+    monkeypatch.setenv("WORLD_SIZE", "2")
+    group = torch.distributed
+    group.init_process_group("gloo", store=group.HashStore(), rank=0, world_size=1)
+    try:
+        trainer = Trainer(config(optimiser=replace(SMALL_WINDOW, compile=compiled)))
+        train(trainer, 1)
+    finally:
+        group.destroy_process_group()
+    assert {id(weight) for weight in exchanged} == {
+        id(weight) for weight in trainer.network.parameters()
+    }
+
+
 # ---- resuming
 
 VARIANTS = {

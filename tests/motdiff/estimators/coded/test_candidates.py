@@ -1,10 +1,11 @@
-"""Candidates: rounds of changes, of which the best survive."""
+"""Candidates: rounds of changes, of which the best survive, and the errors of their knots."""
 
+import numpy as np
 import pytest
 import torch
 
-from motdiff.estimators.coded.candidates import Evolution
-from motdiff.estimators.coded.misfit import Unknowns
+from motdiff.estimators.coded.candidates import Evolution, expected_deviation_px
+from motdiff.estimators.coded.misfit import PathQuadratic, Unknowns
 
 UNKNOWNS = Unknowns(3, 1)
 
@@ -50,3 +51,13 @@ def test_improvement_goes_on_to_the_last_round():
     _, _, count, shares = evolved(lambda x: x * 0.5, rounds=4)
     assert count == len(shares) == 4
     assert sum(shares) == pytest.approx(1)
+
+
+def test_the_expected_error_of_knots_is_what_their_measurements_leave_about_their_mean():
+    sigma_px = np.array([0.1, 0.4, 0.2])  # of each coordinate of each knot
+    term = PathQuadratic(UNKNOWNS, np.diag(1 / sigma_px**2))
+    draws_px = np.random.default_rng(0).normal(0, sigma_px[:, None], (100_000, 3, 2))
+    draws_px -= draws_px.mean(axis=1, keepdims=True)  # a shift of the whole path is no error
+    rms_px = np.sqrt((draws_px**2).sum(axis=2).mean(axis=0))
+    found_px = expected_deviation_px(UNKNOWNS, [term], bent(0.0))
+    assert found_px == pytest.approx(rms_px, rel=0.01)
