@@ -17,7 +17,7 @@ SIGNED = re.compile(
 )  # of nearly nothing: the sign hangs on the processor's last bits
 SMALL_SEARCH = """
 import sys
-if sys.argv[1] == "optimize":
+if sys.argv[1:2] == ["optimize"]:
     from cep.search import code_search
     code_search.standard_moves = lambda _problem: 100_000
 from cep.commands.main import run

@@ -27,7 +27,7 @@ _SHORTER = 0.9
 _FLOOR = 2e-3  # of the brightest: light below it is not matched
 _SPREAD_PX = 1.0  # of the light of a path that is not right to a pixel
 _SMOOTHED_STEPS = 1.0  # sigma: paths on whole pixels are jagged
-# lengths of redrawn stretches, as shares of the path: of one alone, and of two that exchange light
+# steps of redrawn stretches, but one, as shares of the path's: of one alone, and of either of two
 _REROUTED = (0.15, 0.5)
 _EXCHANGED = (0.06, 0.2)
 _SHORTEST = 3  # steps
@@ -92,17 +92,17 @@ class PathMeasure:
         return self._redrawn(path, [self._stretch(start, length)], rng)
 
     def exchanged(self, path: FloatArray, *, rng: np.random.Generator) -> FloatArray | None:
-        """Path (K, 2), px, with two short stretches, near each other, led anew; None without any.
+        """Path (K, 2), px, with two short stretches led anew; None if they would cover the path.
 
-        Either may take the other's light: led alone, each comes back to where it was, as long as
-        the other one holds that.
+        The nearer they are to each other the likelier they are taken, and either may get the
+        other's light: led alone, each comes back to where it was, for the other one holds that.
         """
         lengths = np.maximum(_SHORTEST, (self._steps * rng.uniform(*_EXCHANGED, 2)).astype(int))
         start, stop = self._stretch(
             int(rng.integers(-lengths[0] // 2, self._steps - lengths[0] // 2)), lengths[0]
         )
         starts = np.arange(self._steps) - lengths[1] // 2
-        is_apart = (starts + lengths[1] <= start) | (starts >= stop)
+        is_apart = (starts + lengths[1] < start) | (starts >= stop)
         positions = interpolated(middles(self._steps), np.linspace(0, 1, len(path)), path)
         distance = np.linalg.norm(positions[:, None] - positions[start:stop], axis=-1).min(axis=1)
         chance = is_apart * np.exp(-0.5 * (distance / _NEAR_PX) ** 2)
@@ -132,7 +132,7 @@ class PathMeasure:
             is_held[start:stop] = 0
         redrawn = path.copy()
         for start, stop in stretches:
-            weights = self._weights_left(positions, is_held)[start:stop]
+            weights = self._weights_left(positions, is_held, slice(start, stop))
             for index, is_end in ((0, start == 0), (-1, stop == self._steps)):
                 if not is_end:
                     at = positions[start if index == 0 else stop - 1]
@@ -146,12 +146,16 @@ class PathMeasure:
             redrawn[is_new] = interpolated(knots[is_new], times, smooth) - shift
         return redrawn
 
-    def _weights_left(self, positions: FloatArray, is_held: FloatArray) -> FloatArray:
-        """Weights (T, P) of pixels by the light that a path (T, 2) leaves at the steps held."""
+    def _weights_left(
+        self, positions: FloatArray, is_held: FloatArray, steps: slice
+    ) -> FloatArray:
+        """Weights (steps, P) of pixels by the light that a path (T, 2) leaves where it is held."""
         lacking = np.maximum(self._targets - self._light_of(positions, is_held), self._floor)
         lacking /= lacking.max(axis=1, keepdims=True)
-        covering = self._times.T / np.maximum(self._times.sum(axis=0), 1)[:, None]
-        return np.asarray(np.exp(covering @ np.log(lacking)))
+        covering = self._times[:, steps]
+        return np.asarray(
+            np.exp(covering.T @ np.log(lacking) / np.maximum(covering.sum(axis=0), 1)[:, None])
+        )
 
     def _light_of(self, positions: FloatArray, share: FloatArray) -> FloatArray:
         """Light (M, P) of a path (T, 2) at the times that each target tells of, times a share."""

@@ -30,7 +30,7 @@ _LEAST_WEIGHT = 0.02  # of a frequency that shows nothing but noise
 _AT_ONCE = 8  # candidates, as many as fit the cache
 _SLOWEST_CY_PX = 1 / 64  # slower light is taken away
 # the curvature is summed over a sample of the frequencies, drawn once: for each value that a step
-# changes it holds so many independent values of the photos, and at least so many frequencies
+# changes over 6 / (photos - 1), as each frequency has so many independent values, and 4 at least
 _VALUES_PER_UNKNOWN = 6
 _FREQUENCIES_PER_UNKNOWN = 4
 

@@ -43,7 +43,8 @@ from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
 CLEARLY_DEARER = 40.0
-"""By how much the next path must be dearer for the search to end at the first agreement."""
+"""Sum of squares by which the next path must be dearer for a search to end where two agree: of
+paths with smaller gaps a third was wrong."""
 _FEW_KNOTS = 27  # half as many unknowns make a step twice as cheap
 _DRAWS = 64  # starts of a search from the kernels' light
 _LONE_WALKS = 32  # and without it
@@ -60,7 +61,7 @@ _CHILDREN = 32  # of a round
 _CHILD_FIT: Schedule = ((MIDDLE, 4, 16), (MIDDLE, 4, 12), (NEAR, 3, 8), (FINEST, 4, 8))
 _RESULTS = 6  # handed on with all knots
 _LAST: Schedule = ((FINEST, 4, 4), (FINEST, 21, 4))
-# kinds of children; more of those that were cheaper than their parents more often
+# of the children, roughly by how many were cheaper than the best path; what cannot be is bridged
 _CHILD_SHARES = {
     "rerouted": 0.17,
     "exchanged": 0.37,
@@ -91,7 +92,8 @@ def find_paths(
 
     Returns
     -------
-    list of CandidatePath, best first, and the number of searches that ended at the best one
+    list of CandidatePath, best first, and the number of searches that ended at the best one; 1
+    where the last fits found another
     """
     progress = progress or Progress()
 
@@ -132,7 +134,7 @@ def _scene_paths(
         is_agreed = times > 1 and is_clear and search.misfit(x[:1]) <= EXPLAINED
     spend(share * (_MOST_SEARCHES - len(results)))
     fine = PhotoFit(exposures, spectra)
-    searched_path = fine.paths(search.unknowns.resampled(x, KNOTS))[0]
+    searched_path = fine.paths(search.unknowns.resampled(x[:1], KNOTS))[0]
     if is_agreed:
         spend(0.15)
     else:  # what each of them has right may belong together

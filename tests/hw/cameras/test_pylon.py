@@ -201,7 +201,7 @@ def test_what_the_camera_cannot_take_is_one_line(camera, settings, line):
 def test_a_feature_that_fails_is_one_line_of_the_camera(camera, access, arguments):
     with pytest.raises(CameraError) as error:
         getattr(camera.features, access)(*arguments)
-    assert str(error.value).strip()
+    assert "Flavour" in str(error.value)
     assert "\n" not in str(error.value)
 
 
