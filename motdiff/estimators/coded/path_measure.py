@@ -88,8 +88,7 @@ class PathMeasure:
         drawn between its ends, an end of the exposure being free.
         """
         length = int(self._steps * rng.uniform(*_REROUTED))
-        start = int(rng.integers(-length // 2, self._steps - length // 2))
-        return self._redrawn(path, [self._stretch(start, length)], rng)
+        return self._redrawn(path, [self._drawn_stretch(length, rng)], rng)
 
     def exchanged(self, path: FloatArray, *, rng: np.random.Generator) -> FloatArray | None:
         """Path (K, 2), px, with two short stretches led anew; None if they would cover the path.
@@ -98,9 +97,7 @@ class PathMeasure:
         other's light: led alone, each comes back to where it was, for the other one holds that.
         """
         lengths = np.maximum(_SHORTEST, (self._steps * rng.uniform(*_EXCHANGED, 2)).astype(int))
-        start, stop = self._stretch(
-            int(rng.integers(-lengths[0] // 2, self._steps - lengths[0] // 2)), lengths[0]
-        )
+        start, stop = self._drawn_stretch(lengths[0], rng)
         starts = np.arange(self._steps) - lengths[1] // 2
         is_apart = (starts + lengths[1] < start) | (starts >= stop)
         positions = interpolated(middles(self._steps), np.linspace(0, 1, len(path)), path)
@@ -114,6 +111,10 @@ class PathMeasure:
     @property
     def _steps(self) -> int:
         return int(self._times.shape[1])
+
+    def _drawn_stretch(self, length: int, rng: np.random.Generator) -> tuple[int, int]:
+        """Draw a stretch, as :meth:`_stretch`, of which half may lie beyond the exposure."""
+        return self._stretch(int(rng.integers(-length // 2, self._steps - length // 2)), length)
 
     def _stretch(self, start: int, length: int) -> tuple[int, int]:
         """Return the first step and the one after the last, within the exposure."""
