@@ -26,7 +26,7 @@ HOPELESS_DB = 100.0
 print "> 100"."""
 _ZERO = 1e-12  # |H| below this is rounding
 _GAINS = ("noise_gain_db", "dnf_db")  # infinite at a zero, which JSON cannot say
-_HIGHER_IS_BETTER = {"min_mtf", "min_mtf_lower", "min_over_duty", "min_chip", "flatness_ratio"}
+_HIGHER_IS_BETTER = {"min_mtf", "min_mtf_lower", "min_over_duty", "min_chip"}
 FigureOfMerit = Callable[[Trajectory, ShutterCode], float]
 """A user-defined figure of merit, along a trajectory taken as given."""
 OwnFigure = float | tuple[float, float]
@@ -42,13 +42,11 @@ class CodeMetrics:
     min_mtf, min_mtf_lower : float
         Smallest |H| over the band's continuum: the value reached, and a proven lower bound.
     min_over_duty : float
-        ``min_mtf`` relative to DC.
+        ``min_mtf`` relative to DC, where |H| is the largest.
     min_chip : float or None
         Smallest |P| over the unit circle, in chips; uniform straight motion only.
     flatness_var : float
         Variance of |H| over the band.
-    flatness_ratio : float
-        Smallest over largest |H|, 0..1; the largest is the duty, at DC.
     noise_gain_db : float
         ``10 log10 mean 1/|H|^2``: noise of the inverse filter relative to a still, all-open
         exposure's. Infinite when a sample falls on a zero.
@@ -64,7 +62,6 @@ class CodeMetrics:
     min_over_duty: float
     min_chip: float | None
     flatness_var: float
-    flatness_ratio: float
     noise_gain_db: float
     dnf_db: float
     mse_db: float
@@ -142,7 +139,6 @@ def measure(
         min_over_duty=lowest / duty,
         min_chip=chip_units,
         flatness_var=float(samples.weight @ (modulus - mean) ** 2),
-        flatness_ratio=lowest / duty,  # nowhere is |H| larger than at DC, where it is the duty
         noise_gain_db=noise_gain_db,
         dnf_db=noise_gain_db + 20 * float(np.log10(duty)),
         mse_db=10 * float(np.log10(mse)),
