@@ -68,19 +68,11 @@ METHODS: dict[str, Method] = {
             ("wiener1949", "field1987"),
             uses_camera=True,
         ),
-        Method("inverse", "a floor under the MTF", "cep.restoration.inverse:inverse_filter"),
         Method(
             "tv",
             "total variation",
             "cep.restoration.tv:tv",
             ("wang2008", "krishnan2009", "wen2021pmp"),
-        ),
-        Method("l0", "few edges", "cep.restoration.l0:l0", ("xu2013",)),
-        Method(
-            "tv-ring",
-            "tv with less ringing",
-            "cep.restoration.l0:tv_less_ringing",
-            ("pan2014", "wang2008"),
         ),
         Method(
             "pnp",
@@ -91,6 +83,11 @@ METHODS: dict[str, Method] = {
             reports_progress=True,
         ),
     )
+}
+
+_MOVED = {
+    "inverse": "which moved to the laboratory, in the repository:"
+    " lab.rivals.inverse_filter:inverse_filter"
 }
 
 AUTO_ABOUT = "pnp for a coded photo along its motion, and where the motion fits the photo, else tv"
@@ -110,9 +107,8 @@ def find_method(method: str | Callable[..., ArrayLike]) -> tuple[str, Callable[.
     if method in METHODS:
         return method, METHODS[method].function
     if not is_reference(method):
-        raise ValueError(
-            f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}"
-        )
+        line = f"method: must be one of {', '.join(METHODS)}, or module:name, got {method!r}"
+        raise ValueError(", ".join(filter(None, (line, _MOVED.get(method)))))
     function = load_object(method)
     if not callable(function):
         raise ValueError(f"method: {method} is no function")

@@ -64,13 +64,13 @@ def restore(
     code : ShutterCode, optional
         Of the exposure, without a PSF; the open shutter when omitted.
     method : str or callable
-        A name of :data:`cep.restoration.registry.METHODS`: "wiener", "inverse", "tv", "l0",
-        "tv-ring" (TV less its ringing) or "pnp" (with a trained denoiser); or a function of your
-        own, or its ``module:name``, that takes (photo, psf) and returns the restored photo, or a
-        Restoration. "auto" is "pnp" for a photo through a code whose motion is given, and where
-        the photo shows that the motion fits, else "tv", which trusts the PSF less; a motion that
-        is known in time has some credit. Of more than 16 megapixels, or 4 where the PSF is
-        estimated, it is "wiener", for the time: :func:`cep.restoration.choice.choose_method`.
+        A name of :data:`cep.restoration.registry.METHODS`: "wiener", "tv" or "pnp" (with a
+        trained denoiser); or a function of your own, or its ``module:name``, that takes (photo,
+        psf) and returns the restored photo, or a Restoration. "auto" is "pnp" for a photo through
+        a code whose motion is given, and where the photo shows that the motion fits, else "tv",
+        which trusts the PSF less; a motion that is known in time has some credit. Of more than 16
+        megapixels, or 4 where the PSF is estimated, it is "wiener", for the time:
+        :func:`cep.restoration.choice.choose_method`.
         Where nothing but the photo is given see :func:`cep.restoration.sharpen.sharpen`.
     anyway : bool
         Of a photo alone: whether one that would be kept is restored all the same.

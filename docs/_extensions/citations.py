@@ -147,8 +147,8 @@ def cite(methods: Iterable[str] = ()) -> Citations:
 
     Examples
     --------
-    >>> list(cite(["l0", "raskar-52"]).works)
-    ['xu2013', 'raskar2006']
+    >>> list(cite(["dnf", "raskar-52"]).works)
+    ['agrawal2009capture', 'raskar2006']
     """
     known: dict[str, tuple[str, ...]] = {}
     for named in citable().values():

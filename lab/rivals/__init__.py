@@ -1,1 +1,1 @@
-"""Rival estimators of the benchmark tables; nothing else imports them."""
+"""Rival estimators and restorations of the benchmark tables; nothing else imports them."""

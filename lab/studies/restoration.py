@@ -35,7 +35,7 @@ from motdiff.trajectory import Trajectory
 PROTOCOL = coded_protocol("ours")
 CODES = (ShutterCode("1" * 52), published("raskar-52").code)
 LEVELS = (300.0, 1000.0, 10_000.0, 100_000.0)
-COMPARED = ("wiener", "tv", "l0", "pnp")
+COMPARED = ("wiener", "tv", "pnp")
 TOLD_THE_NOISE = ("wiener", "pnp")
 BORDER_PX = 32
 ALIKE = 0.9

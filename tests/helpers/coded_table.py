@@ -17,6 +17,7 @@ from lab.bench.table_io import Provenance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.trajectory import Trajectory
 
+INVERSE = "lab.rivals.inverse_filter:inverse_filter"
 MADE = Provenance("again", 0, [], [])
 TINY = CodedProtocol(
     name="tiny",
@@ -32,7 +33,7 @@ TINY = CodedProtocol(
     calibration_photons=1e4,
     bits=12,
     read_noise_e=0.0,
-    restoration="inverse",
+    restoration=INVERSE,
     border_rounds=10,
     restored_by="psf",
     steps=2000,

@@ -8,6 +8,7 @@ import math
 import time
 from dataclasses import dataclass
 from functools import lru_cache
+from inspect import signature
 from pathlib import Path
 from typing import Any
 
@@ -21,13 +22,13 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.proofs.measure import CodeMetrics, measure
 from cep.restoration.direction import detect_direction
+from cep.restoration.registry import find_method
 from cep.restoration.restore import find_psf, restore
 from lab.bench.coded.designs import MotionPrior, design_code
 from lab.bench.coded.protocol import paths_from, paths_to
 from lab.bench.datasets import Cut, sharp_scene
 from lab.bench.psf_text import psf_from_text, psf_to_text
 from lab.evaluation.metrics import laid_on, psnr_ssim_up_to_shift
-from motdiff.files.plugins import is_reference
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, moved
 from motdiff.simulate import visible
@@ -156,10 +157,9 @@ def photographed(
     kernel : str, optional
         Kernel given instead, as of :func:`find_kernel`. Without either, the true PSF is given.
     restoration : str
-        The Wiener filter has the camera's noise; a function of the user's own has the photo and
-        the PSF alone.
+        The Wiener filter has the camera's noise.
     border_rounds : int
-        Rounds of reblurring outside the photo's borders.
+        Rounds of reblurring outside the photo's borders, for a restoration that takes them.
     """
     code = exposure.code
     psf = exposure.psf()
@@ -181,7 +181,7 @@ def photographed(
         restoration_psf = scale * moved(estimate, down_px=whole_px[0], right_px=whole_px[1])
         rest_px = whole_px - away_px
     options: dict[str, Any] = {}
-    if not is_reference(restoration):
+    if "border_rounds" in signature(find_method(restoration)[1]).parameters:
         options["border_rounds"] = border_rounds
     if restoration == "wiener":
         options["camera"] = exposure.camera

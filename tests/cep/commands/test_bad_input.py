@@ -170,7 +170,7 @@ def test_good_photos_of_unusual_kinds_are_taken(cep, workplace):
     }.items():
         cv2.imwrite(name, image)
         found = cep.succeeds(
-            "deblur", name, "--trajectory", "trajectory.json", "--method", "inverse"
+            "deblur", name, "--trajectory", "trajectory.json", "--method", "wiener"
         )
         assert any("transparency" in warning for warning in found["warnings"]) == (
             name == "glass.png"

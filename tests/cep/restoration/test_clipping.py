@@ -61,8 +61,8 @@ def test_a_method_says_whether_they_are_filled_before_it(monkeypatch, fills_clip
 
 
 def test_a_registered_function_is_called_as_its_name_is():
-    by_function = restore(PHOTO, PSF, method=METHODS["inverse"].function)
-    np.testing.assert_array_equal(by_function.image, restore(PHOTO, PSF, method="inverse").image)
+    by_function = restore(PHOTO, PSF, method=METHODS["wiener"].function)
+    np.testing.assert_array_equal(by_function.image, restore(PHOTO, PSF, method="wiener").image)
 
 
 def test_light_beneath_clipped_pixels_is_found():
@@ -111,7 +111,7 @@ def test_paper_just_below_clipping_is_not_made_brighter():
     assert psnr(with_mask, sharp) > psnr(without, sharp) - 1
 
 
-@pytest.mark.parametrize("method", ["wiener", "tv", "l0"])
+@pytest.mark.parametrize("method", ["wiener", "tv"])
 def test_a_photo_with_nothing_clipped_is_restored_as_by_the_method_alone(method):
     dim = 0.97 * PHOTO
     assert fill_clipped(dim, PSF) is dim

@@ -58,6 +58,18 @@ def test_what_a_method_says_of_itself_holds(name):
     assert method.reports_progress == ("progress" in options)
 
 
+@pytest.mark.parametrize("name", ["l0", "tv-ring", "inverse"])
+def test_a_method_that_is_gone_is_refused_with_those_there_are(name):
+    with pytest.raises(
+        ValueError, match=rf"^method: must be one of {', '.join(METHODS)}"
+    ) as error:
+        find_method(name)
+    successor = str(error.value).rpartition("repository: ")[2]
+    assert (name == "inverse") == (successor in str(error.value).split())
+    if name == "inverse":
+        assert callable(find_method(successor)[1])
+
+
 def test_a_function_of_your_own_is_not_registered():
     name, function = find_method("skimage.restoration:richardson_lucy")
     assert name == "skimage.restoration:richardson_lucy"

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from coded_table import BENT, TINY, written
 
+from cep.restoration.registry import find_method
 from lab.bench.coded import protocol
 from lab.bench.coded.protocol import (
     coded_protocol,
@@ -15,6 +16,7 @@ from lab.bench.coded.protocol import (
     paths_from,
     paths_to,
 )
+from lab.rivals.inverse_filter import inverse_filter
 from motdiff.trajectory import Trajectory
 
 
@@ -28,7 +30,8 @@ def test_the_papers_protocol_is_the_papers():
         256,
         "symmetric",
     )
-    assert (paper.levels, paper.restoration, paper.restored_by) == ((None,), "inverse", "psf")
+    assert (paper.levels, paper.restored_by) == ((None,), "psf")
+    assert find_method(paper.restoration)[1] is inverse_filter
     assert paper.calibration_camera == paper.camera(None)
     assert paper.camera(None).noise_variance(0.5) == pytest.approx((1 / 255) ** 2 / 12, rel=1e-3)
     assert paper.quick == replace(paper, photos=2, motions=2, steps=paper.quick_steps)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from coded_table import BENT, CLEAN, GUESS, LOPSIDED, blocks, shown
+from coded_table import BENT, CLEAN, GUESS, INVERSE, LOPSIDED, blocks, shown
 from scipy import ndimage
 
 from cep.optics.camera import Camera
@@ -88,7 +88,7 @@ def test_with_the_true_psf_and_no_noise_the_oracles_code_restores_far_better_tha
         rng=np.random.default_rng(0),
     )
     coded, plain = (
-        take_photo(**shown(motion, bits=bits, light_true=light_true, restoration="inverse"))
+        take_photo(**shown(motion, bits=bits, light_true=light_true, restoration=INVERSE))
         for bits in (code.bits, "1" * 16)
     )
     assert coded["psnr_db"] > plain["psnr_db"] + 6

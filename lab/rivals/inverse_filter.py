@@ -1,4 +1,4 @@
-"""Inverse filter with a floor under the MTF."""
+"""Inverse filter with a floor under the MTF: the restoration of the MoTDiff paper's Table III."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.restoration.blur import Blur, Border, channels_first, channels_last, trimmed_psf
+from cep.restoration.clipping import fill_clipped
 from motdiff.types import FloatArray
 
 
@@ -18,6 +19,8 @@ def inverse_filter(
     border_rounds: int = 10,
 ) -> FloatArray:
     """Divide the photo's spectrum by the OTF, whose modulus has a floor.
+
+    Clipped pixels are filled before it, see :func:`cep.restoration.clipping.fill_clipped`.
 
     Parameters
     ----------
@@ -37,7 +40,7 @@ def inverse_filter(
     """
     if not 0 <= floor < 1:
         raise ValueError(f"floor: must lie within 0..1, got {floor}")
-    channels = channels_first(photo)
+    channels = channels_first(fill_clipped(photo, psf))
     blur = Blur(trimmed_psf(psf), channels.shape[1:], border)
     modulus = np.abs(blur.H)
     smallest = floor * blur.psf.sum()
