@@ -258,13 +258,6 @@ def drawn_inputs() -> dict[str, bytes]:
         "x": [0, 1, 2, 3],
         "y": [0, 0, 0, 0],
     }
-    second = {
-        "schema": "cep.trajectory/1",
-        "direction": "known",
-        "t": [0, 0.5, 1],
-        "x": [0, 6, 8],
-        "y": [0, -2, 5],
-    }
     state = {
         "motion": {
             "kind": "path",
@@ -290,10 +283,8 @@ def drawn_inputs() -> dict[str, bytes]:
         "mtf_old.png": photo[:100],
         "path.json": json.dumps(path, indent=1).encode(),
         "backwards.json": json.dumps(backwards).encode(),
-        "motions/b/trajectory.json": json.dumps(second).encode(),
         "studio.json": json.dumps({"schema": "cep.studio/1", "state": state}).encode(),
         "damaged.json": b'{"schema": "cep.code/1", "bits": "1011", "chip_ns": ',
-        "damaged.jsonl": b'{"schema": "cep.proof/1", "version": 1}\n{}\n',
         "gyro.csv": recorded_shake().encode(),
         "capture.csv": recorded_play("110100101111", chip_s=0.001).encode(),
         "own.py": USER_MODULE.encode(),

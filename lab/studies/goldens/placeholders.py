@@ -21,7 +21,6 @@ RULES: list[tuple[str, re.Pattern[str], str]] = [
     (r"stdout", re.compile(r'"(cpu_s|wall_s|memory_mib)": \{[^{}]*\}'), r'"\1": "<cost>"'),
     (r"stdout", re.compile(r'("uptime_s": )[\d.]+'), r"\1<seconds>"),
     (r"stdout|.*\.md", re.compile(r"[\d.,]+ CPU-s"), "<cost> CPU-s"),
-    (r".*\.html", re.compile(r"Seconds: [^<]*"), "Seconds: <seconds>"),
     (r"stdout", re.compile(r"^ +[\d.]+ s  idle", re.MULTILINE), "<seconds> s  idle"),
     (r"stdout", re.compile(r"\d+ looks"), "<several> looks"),
     (r"stdout", re.compile(r"clock is .*"), "clock is <measured>"),

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from lab.studies.goldens.cases import CASES, FOLDER_PHOTOS, PREPARATION, Case, moved
+from lab.studies.goldens.cases import CASES, FOLDER_PHOTOS, PREPARATION, Case
 from lab.studies.goldens.inputs import drawn_inputs
 from lab.studies.goldens.placeholders import PASSED_OVER, normalised, normalised_file
 
@@ -72,7 +72,6 @@ class Recorder:
         """Make the inputs in a folder, and record the commands that do."""
         for name, data in drawn_inputs().items():
             write_file(folder / name, data)
-        (folder / "motions/a").mkdir()
         for case in PREPARATION:
             self._record(case, folder)
         for source, copy in FOLDER_PHOTOS.items():
@@ -100,10 +99,8 @@ class Recorder:
 
     def _run(self, case: Case, folder: Path) -> Outcome:
         if case.first:
-            self._start(shlex.split(moved(case.first, self._root)), folder).communicate(
-                timeout=LIMIT_S
-            )
-        process = self._start(case.words(self._root), folder)
+            self._start(shlex.split(case.first), folder).communicate(timeout=LIMIT_S)
+        process = self._start(shlex.split(case.argv), folder)
         try:
             stdout, stderr = process.communicate(timeout=LIMIT_S)
             status = str(process.returncode)
