@@ -106,13 +106,6 @@ class Blur:
         """Blur a scene (..., H', W') into a photo (..., H, W); (H', W') into K photos."""
         return self.crop(self.image(self.H * self.spectrum(scene)))
 
-    def A_adjoint(self, photo: FloatArray) -> FloatArray:
-        """Correlate a photo (..., H, W), dark outside its frame, with the PSF: (..., H', W').
-
-        K photos (K, H, W) become one image.
-        """
-        return self.image(self.correlated(self.spectrum(photo)))
-
     def correlated(self, spectrum: ComplexArray) -> ComplexArray:
         """``conj(H)`` times a spectrum, summed over K photos."""
         return self._over_photos(np.conj(self.H) * spectrum)

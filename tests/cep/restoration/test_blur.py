@@ -12,6 +12,10 @@ from motdiff.trajectory import Trajectory
 PSF = Trajectory.from_samples([[0, 0], [8, 1], [12, 9]]).psf(33)
 
 
+def adjoint(blur, photo):
+    return blur.image(blur.correlated(blur.spectrum(photo)))
+
+
 @pytest.mark.parametrize("border", ["real", "periodic"])
 @pytest.mark.parametrize("shape", [(40, 51), (40, 50)])
 def test_the_adjoint_has_the_dot_products_of_the_blur(border, shape):
@@ -19,7 +23,7 @@ def test_the_adjoint_has_the_dot_products_of_the_blur(border, shape):
     blur = Blur(PSF, shape, border)
     scene = rng.standard_normal(blur.grid_shape)
     photo = rng.standard_normal(shape)
-    assert np.sum(blur.A(scene) * photo) == pytest.approx(np.sum(scene * blur.A_adjoint(photo)))
+    assert np.sum(blur.A(scene) * photo) == pytest.approx(np.sum(scene * adjoint(blur, photo)))
 
 
 def test_the_otf_of_a_box_is_a_dirichlet_kernel():
@@ -91,7 +95,7 @@ def test_the_nearest_scene_solves_the_normal_equations(border):
     photo = rng.random((9, 10))
     z = rng.random(blur.grid_shape)
     x = blur.nearest(photo, z, 0.05, rounds=200)
-    residual = blur.A_adjoint(blur.A(x) - photo) + 0.05 * (x - z)
+    residual = adjoint(blur, blur.A(x) - photo) + 0.05 * (x - z)
     np.testing.assert_allclose(residual, 0, atol=1e-8)
 
 
@@ -190,7 +194,7 @@ def test_the_adjoint_of_several_photos(border):
     scene = rng.standard_normal(blur.grid_shape)
     photos = rng.standard_normal((3, 20, 27))
     assert blur.A(scene).shape == photos.shape
-    assert np.vdot(blur.A(scene), photos) == pytest.approx(np.vdot(scene, blur.A_adjoint(photos)))
+    assert np.vdot(blur.A(scene), photos) == pytest.approx(np.vdot(scene, adjoint(blur, photos)))
 
 
 def test_several_photos_are_their_single_ones():
