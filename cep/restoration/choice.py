@@ -66,9 +66,52 @@ _TV_SIGMA = 0.007
 _CLEARLY = 0.15
 
 
+@dataclass(frozen=True)
+class Evidence:
+    """What a PSF leaves of a crop that TV restores with it, beside the crop's own figures.
+
+    Attributes
+    ----------
+    residual, impossible : float
+        RMS of what the PSF does not explain, and of light below 0 and above 1.
+    noise, contrast : float
+        Standard deviations of the crop's noise, and of the crop.
+    sparsity : float
+        Of the restored gradients, see :func:`cep.restoration.tv.gradient_sparsity`.
+    """
+
+    residual: float
+    impossible: float
+    noise: float
+    contrast: float
+    sparsity: float
+
+    def explains(self, *, trusted: bool) -> bool:
+        """Whether both are as little as a right PSF leaves; of one rather known, with credit."""
+        residual = self.residual / self.noise
+        impossible = self.impossible / self.contrast
+        if trusted:
+            residual /= _CREDIT_RESIDUAL
+            impossible /= _CREDIT_IMPOSSIBLE
+        return residual <= _WRONG and impossible <= LITTLE_IMPOSSIBLE
+
+    @property
+    def unexplained(self) -> float:
+        """Both together, as a share of the contrast."""
+        return (self.residual + self.impossible) / self.contrast
+
+
+class PsfChoice(NamedTuple):
+    """PSF that suits a photo, by name; of each PSF its score, and the evidence behind it."""
+
+    name: str | None
+    scores_db: dict[str, float]
+    evidence: dict[str, Evidence]
+
+
 def choose_psf(
     photo: ArrayLike, psfs: Mapping[str, ArrayLike], *, prior_db: Mapping[str, float]
-) -> tuple[str | None, dict[str, float]]:
+) -> PsfChoice:
     """Choose among PSFs by restorations of a textured crop of the photo.
 
     Parameters
@@ -85,27 +128,26 @@ def choose_psf(
         gradients.
     scores_db : dict from name to float
         Of each PSF; differences stand for expected differences of PSNR.
+    evidence : dict from name to Evidence
     """
     crop = _textured_crop(photo)
-    clipped = clipped_mask(crop)
     sigma = max(noise_sigma(luminance(crop)), LEAST_SIGMA)
     photo_sparsity = gradient_sparsity(luminance(crop)) or 1.0
-    scores = {}
-    sharper = []
-    for name, psf in psfs.items():
-        # each colour is filled by itself: where one is clipped the grey is not at full scale
-        filled = luminance(fill_clipped(crop, psf))
-        restored = tv(filled, psf, weight=_tv_weight(sigma))
-        residual = max(misfit(filled, restored, psf, clipped=clipped), sigma)
-        restored = lights_cut(restored, clipped, psf)
-        scores[name] = float(
+    evidence = {name: _evidence(crop, psf) for name, psf in psfs.items()}
+    scores = {
+        name: float(
             prior_db[name]
-            - _RESIDUAL_DB * np.log(residual / sigma)
-            - _IMPOSSIBLE_DB * _impossible(restored)
+            - _RESIDUAL_DB * np.log(max(trial.residual, sigma) / sigma)
+            - _IMPOSSIBLE_DB * trial.impossible
         )
-        if (gradient_sparsity(restored) or 1.0) < _NO_SPARSER * photo_sparsity:
-            sharper.append(name)
-    return max(sharper, key=scores.__getitem__, default=None), scores
+        for name, trial in evidence.items()
+    }
+    sharper = [
+        name
+        for name, trial in evidence.items()
+        if (trial.sparsity or 1.0) < _NO_SPARSER * photo_sparsity
+    ]
+    return PsfChoice(max(sharper, key=scores.__getitem__, default=None), scores, evidence)
 
 
 class MethodChoice(NamedTuple):
@@ -116,7 +158,12 @@ class MethodChoice(NamedTuple):
 
 
 def choose_method(
-    photo: ArrayLike, psf: ArrayLike, *, coded_motion: bool = False, trusted: bool = False
+    photo: ArrayLike,
+    psf: ArrayLike,
+    *,
+    coded_motion: bool = False,
+    trusted: bool = False,
+    evidence: Evidence | None = None,
 ) -> MethodChoice:
     """Choose the method of a photo for which none is named: what ``auto`` means.
 
@@ -135,6 +182,8 @@ def choose_method(
     trusted : bool
         Whether the PSF is rather known than estimated. The photo must then speak more clearly
         against it.
+    evidence : Evidence, optional
+        What :func:`choose_psf` has of this PSF.
     """
     size_px = channels_first(photo)[0].size
     if coded_motion:
@@ -142,7 +191,8 @@ def choose_method(
         fits = trusted = True
         reason = "the photo is coded"
     else:
-        fits = _evidence(photo, psf).explains(trusted=trusted)
+        evidence = evidence or _evidence(_textured_crop(photo), psf)
+        fits = evidence.explains(trusted=trusted)
         reason = "the motion fits the photo"
     if fits and size_px <= (LARGEST_PNP_PX if trusted else LARGEST_ESTIMATED_PX):
         return MethodChoice("pnp", reason)
@@ -192,30 +242,6 @@ def restore_with_estimate(
     return channels_last(np.stack(side_by_side(jobs)))
 
 
-@dataclass(frozen=True)
-class _Evidence:
-    """What a PSF leaves of a crop: residual, impossible light, and noise, beside its contrast."""
-
-    residual: float
-    impossible: float
-    noise: float
-    contrast: float
-
-    def explains(self, *, trusted: bool) -> bool:
-        """Whether both are as little as a right PSF leaves; of one rather known, with credit."""
-        residual = self.residual / self.noise
-        impossible = self.impossible / self.contrast
-        if trusted:
-            residual /= _CREDIT_RESIDUAL
-            impossible /= _CREDIT_IMPOSSIBLE
-        return residual <= _WRONG and impossible <= LITTLE_IMPOSSIBLE
-
-    @property
-    def unexplained(self) -> float:
-        """Both together, as a share of the contrast."""
-        return (self.residual + self.impossible) / self.contrast
-
-
 def looks_linear(photo: ArrayLike, psf: ArrayLike) -> bool:
     """Whether a file that was read as sRGB fits its blur better if its code values are light.
 
@@ -238,25 +264,28 @@ def looks_linear(photo: ArrayLike, psf: ArrayLike) -> bool:
     >>> looks_linear(light, kernel), looks_linear(to_linear(light), kernel)
     (False, True)
     """
-    as_light = _evidence(to_display(np.clip(photo, 0, 1)), psf)
-    as_read = _evidence(photo, psf)
+    as_light = _evidence(_textured_crop(to_display(np.clip(photo, 0, 1))), psf)
+    as_read = _evidence(_textured_crop(photo), psf)
     # a wrong PSF fits neither
     is_clear = as_read.unexplained > np.exp(_CLEARLY) * as_light.unexplained
     return as_light.explains(trusted=True) and bool(is_clear)
 
 
-def _evidence(photo: ArrayLike, psf: ArrayLike) -> _Evidence:
-    crop = _textured_crop(photo)
+def _evidence(crop: FloatArray, psf: ArrayLike) -> Evidence:
     clipped = clipped_mask(crop)
     light = float(np.sum(psf))
+    # each colour is filled by itself: where one is clipped the grey is not at full scale
     filled = luminance(fill_clipped(crop, psf))
     sigma = max(noise_sigma(filled), LEAST_SIGMA)
     restored = tv(filled, psf, weight=_tv_weight(sigma / light))
-    return _Evidence(
-        residual=misfit(filled, restored, psf, clipped=clipped),
+    residual = misfit(filled, restored, psf, clipped=clipped)
+    restored = lights_cut(restored, clipped, psf)
+    return Evidence(
+        residual=residual,
+        impossible=light * _impossible(restored),
         noise=sigma,
-        impossible=light * _impossible(lights_cut(restored, clipped, psf)),
         contrast=max(float(np.std(filled)), LEAST_SIGMA),
+        sparsity=gradient_sparsity(restored),
     )
 
 

@@ -54,7 +54,7 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False)
     psfs = _psfs_within(min(pixels.shape[:2]), estimate)
     gain = exposure_gain(pixels)
     bright = pixels * gain
-    source, scores_db = choose_psf(bright, psfs, prior_db=_PRIOR_DB)
+    source, scores_db, evidence = choose_psf(bright, psfs, prior_db=_PRIOR_DB)
     if source is None:
         doubt = doubt or _NO_SHARPER
         if not (anyway and psfs):
@@ -62,7 +62,7 @@ def sharpen(photo: ArrayLike, estimate: MotionEstimate, *, anyway: bool = False)
         source = max(psfs, key=scores_db.__getitem__)
     psf = psfs[source]
     confidence = _psf_confidence(estimate)
-    method, _reason = choose_method(bright, psf)
+    method, _reason = choose_method(bright, psf, evidence=evidence[source])
     image = restore_with_estimate(bright, psf, method)
     # a doubtful blur must leave little of what a wrong one leaves
     is_doubtful = confidence < LEAST_CONFIDENCE

@@ -38,12 +38,22 @@ def taken(scene=SCENE, *, sigma=0.003):
 @pytest.mark.parametrize("sigma", [0.001, 0.01])
 def test_the_right_psf_is_chosen(sigma):
     photo, _ = taken(sigma=sigma)
-    name, scores_db = choose_psf(photo, {"a": WRONG, "b": RIGHT}, prior_db=EVEN)
+    name, scores_db, _ = choose_psf(photo, {"a": WRONG, "b": RIGHT}, prior_db=EVEN)
     assert name == "b"
     assert scores_db["b"] > scores_db["a"]
-    name, scores_db = choose_psf(photo, {"a": RIGHT, "b": RIGHT}, prior_db={"a": 0.0, "b": 0.1})
+    name, scores_db, _ = choose_psf(photo, {"a": RIGHT, "b": RIGHT}, prior_db={"a": 0.0, "b": 0.1})
     assert name == "b"
     assert scores_db["b"] == pytest.approx(scores_db["a"] + 0.1)
+
+
+@pytest.mark.parametrize("white", [1.0, 0.8])
+def test_the_evidence_of_a_choice_is_that_of_the_photo(white):
+    """Clipped or not, what chose the PSF chooses the same method as a look of its own."""
+    photo, _ = taken()
+    photo = np.clip(photo / white, 0, 1)
+    evidence = choose_psf(photo, {"a": WRONG, "b": RIGHT}, prior_db=EVEN).evidence
+    for name, psf in (("a", WRONG), ("b", RIGHT)):
+        assert choose_method(photo, psf, evidence=evidence[name]) == choose_method(photo, psf)
 
 
 def test_a_sharp_photo_is_restored_with_none():
