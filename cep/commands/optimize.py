@@ -67,7 +67,7 @@ class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOption
         self, stored: StoredMotion, motions: tuple[Scenario, ...]
     ) -> SearchProblem | Callable[[int], SearchProblem]:
         """Return the problem along a motion, or what makes it of a number of chips still open."""
-        from cep.optics.band import uniform_length_px
+        from cep.optics.straight_motion import uniform_length_px
         from cep.search.chip_count import ASSUMED_EXPOSURE_S
 
         exact = self.method == "exact"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cep.optics.band import stays_in_place, straight_axis, uniform_length_px
+from cep.optics.straight_motion import stays_in_place, straight_axis, uniform_length_px
 from motdiff.trajectory import Trajectory, check_length
 
 FINEST_CHIP_PX = 0.25

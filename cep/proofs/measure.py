@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from cep.files.formatting import number
-from cep.optics.band import band_samples, uniform_length_px
+from cep.optics.band import band_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path
 from cep.optics.response import ShutterResponse
 from cep.optics.scene import PHOTO, Scene, noise_variance, wiener_mse
+from cep.optics.straight_motion import uniform_length_px
 from cep.proofs.certify.certificate import paths_by_direction
 from cep.proofs.certify.minimum import min_chip, mtf_minimum
 from motdiff.files.inputs import one_line

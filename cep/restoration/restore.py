@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
+from cep.optics.straight_motion import uniform_length_px
 from cep.restoration.blur import channels_first, trimmed_psf
 from cep.restoration.choice import choose_method, is_possible_light, restore_with_estimate
 from cep.restoration.clipping import clipped_warnings, fill_clipped

@@ -56,14 +56,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import (
-    BandSamples,
-    band_samples,
-    circle_samples,
-    straight_axis,
-    uniform_length_px,
-)
+from cep.optics.band import BandSamples, band_samples, circle_samples
 from cep.optics.exposure import chip_basis, chip_parts
+from cep.optics.straight_motion import straight_axis, uniform_length_px
 from cep.search.optima import proven_ceiling
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.optics.band import BandSamples, band_samples, grid_samples, straight_axis
+from cep.optics.band import BandSamples, band_samples, grid_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_rows, coded_sum, distinct_rows
 from cep.optics.response import ShutterResponse, open_time
 from cep.optics.scene import PHOTO, Scene, inverse_scene, noise_variance
+from cep.optics.straight_motion import straight_axis
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.motions import with_smooth_error
 from motdiff.trajectory import Trajectory

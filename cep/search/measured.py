@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.optics.band import straight_axis
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.scene import PHOTO
+from cep.optics.straight_motion import straight_axis
 from cep.photographs import scenes
 from cep.photographs.trial import PhotoTrial, grid_px
 from cep.search.expected import WORTH_DB

@@ -8,11 +8,11 @@ from typing import Literal, TypedDict, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import straight_axis, uniform_length_px
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.response import ShutterResponse
 from cep.optics.scene import PHOTO, Scene
+from cep.optics.straight_motion import straight_axis, uniform_length_px
 from cep.proofs.measure import CodeMetrics, measure, worst_of
 from cep.search.limits import Limits, RunLimits, check_feasible
 from cep.search.objectives import OBJECTIVES, Criterion

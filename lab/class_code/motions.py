@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cep.optics.band import uniform_length_px
+from cep.optics.straight_motion import uniform_length_px
 from cep.search.problem import Scenario
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.files.trajectories import read_motion

@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
+from cep.optics.straight_motion import uniform_length_px
 from cep.proofs.measure import HOPELESS_DB
 from cep.search.cost import CodeCost, continuum_minimum
 from cep.search.problem import SearchProblem

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 import cep
-from cep.optics.band import straight_axis
 from cep.optics.camera import Camera
+from cep.optics.straight_motion import straight_axis
 from cep.search.measured import GAINS_TABLE
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict

@@ -10,9 +10,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import band_samples, straight_axis
+from cep.optics.band import band_samples
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import chip_basis, coded_otf
+from cep.optics.straight_motion import straight_axis
 from cep.search.bounds import (
     ROUNDING,
     MotionBasis,

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from cep.optics.band import uniform_length_px
 from cep.optics.code import ShutterCode
+from cep.optics.straight_motion import uniform_length_px
 from cep.proofs.certify.minimum import Minimum, chip_minimum, mtf_minimum
 from motdiff.trajectory import Trajectory
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from cep.compiled import compiled
-from cep.optics.band import in_band, straight_axis, uniform_length_px
+from cep.optics.band import in_band
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path
 from cep.optics.response import ShutterResponse
+from cep.optics.straight_motion import straight_axis, uniform_length_px
 from cep.proofs.certify.taylor import (
     CELLS_PER_PX,
     Pieces,

@@ -16,9 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cep.optics.band import in_band, straight_axis, uniform_length_px
+from cep.optics.band import in_band
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import open_path
+from cep.optics.straight_motion import straight_axis, uniform_length_px
 from cep.proofs.certify.taylor import Pieces, first_cells, floors, jets, pieces_of_path
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

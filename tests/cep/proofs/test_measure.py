@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
 
-from cep.optics.band import band, band_samples, circle_samples, straight_axis, uniform_length_px
+from cep.optics.band import band, band_samples, circle_samples
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf
 from cep.optics.scene import PHOTO, noise_variance, wiener_mse
+from cep.optics.straight_motion import straight_axis, uniform_length_px
 from cep.proofs.certify.minimum import chip_minimum, min_chip, mtf_minimum
 from cep.proofs.measure import measure, worst_of
 from motdiff.trajectory import Trajectory
