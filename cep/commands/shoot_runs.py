@@ -149,10 +149,10 @@ def calibrate_by_shots(options: ShootOptions) -> None:
                 progress=tick,
             )
         except BaseException as error:  # Ctrl-C as well: the photos are there
+            if isinstance(error, ValueError):
+                error.args = (with_photo_file(str(error), folder.files),)
             if folder.files:
                 error.add_note(f"photos so far: {', '.join(map(str, folder.files))}")
-            if isinstance(error, ValueError):
-                raise ValueError(with_photo_file(str(error), folder.files)) from None
             raise
     folder.drop_others()
     last = steps[-1]

@@ -1,6 +1,7 @@
 """``cep shoot`` and ``cep deblur`` of its photos, as a user types them."""
 
 import json
+import os
 import shutil
 import sys
 from functools import partial
@@ -179,6 +180,18 @@ def test_a_camera_at_rest_has_nothing_to_calibrate(cep, twin, workplace, monkeyp
     )
     names = {path.name for path in loop.iterdir()}
     assert names == {"P1.tif", "P1.json", "motion"}
+
+
+def test_a_photo_that_cannot_be_searched_is_named_and_stays(cep, twin, workplace, monkeypatch):
+    def searched(_photos, **_options):
+        raise ValueError("photo 1: has no texture")
+
+    monkeypatch.setattr("cep.calibration.closed_loop.estimate_motion", searched)
+    line = cep.refuses("shoot", "--camera", "twin:scene=sharp.png", "--calibrate", "-o", "loop")
+    photo = os.path.join("loop", "P1.tif")
+    assert f"{photo}: has no texture" in line
+    assert f"photos so far: {photo}" in line
+    assert (workplace / photo).exists()
 
 
 @pytest.mark.slow(reason="40 CPU-s: the motion is searched in both photos and its order in time")
