@@ -15,7 +15,6 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import played_psf
 from cep.optics.timeline import timeline
 from cep.plots.wiring import wiring_figure
-from cep.shutter.belt import play_on_triggers
 from cep.shutter.cameras import CAMERAS
 from cep.shutter.exposure_plan import ShotSettings
 from cep.shutter.release import Release
@@ -225,29 +224,6 @@ def test_baslers_emulated_camera_exposes_while_the_emulated_shutter_plays():
     assert [shot.record.problems for shot in shots] == [()] * 3
     assert [shot.record.details["plays"] for shot in shots] == [1] * 3
     assert shots[0].frame.exposure_s == pytest.approx(0.2)
-
-
-def test_a_belt_is_played_on_every_trigger_and_counted(twin):
-    require_simavr()
-    with EmulatedUno() as uno:
-        uno.trigger(pulses=1000, hertz=10)
-        counts = []
-        belt = play_on_triggers(uno.port, CODE, plays=3, tell=counts.append)
-        assert (belt.plays, belt.missed_edges) == (3, 0)
-        assert counts == [1, 2, 3]
-        edges = len(uno.edges())
-        assert edges == 3 * 2 * CODE.pulses
-        cycle = uno.cycle()
-        while uno.cycle() < cycle + 0.3 * CLOCK_HZ:
-            pass
-        assert len(uno.edges()) == edges, "it plays on without the host"
-
-
-def test_a_belt_without_triggers_ends():
-    require_simavr()
-    with EmulatedUno() as uno:
-        belt = play_on_triggers(uno.port, CODE, plays=3, wait_s=0.2)
-    assert belt.plays == 0
 
 
 @pytest.mark.parametrize("fault", FAULTS)
