@@ -82,25 +82,25 @@ def mutations_of(module: Path, text: str) -> Iterator[Mutation]:
         if id(node) in formatted:
             continue
         match node:
-            case ast.Compare(left=left, comparators=[right]):
+            case ast.Compare(left=first, comparators=[second]):
                 pass
-            case ast.BoolOp(values=[left, right, *_]) | ast.BinOp(left=left, right=right):
+            case ast.BoolOp(values=[first, second, *_]) | ast.BinOp(left=first, right=second):
                 pass
             case _:
                 continue
-        gap = int(starts[left.end_lineno - 1] + left.end_col_offset)
-        end = int(starts[right.lineno - 1] + right.col_offset)
-        found = _OPERATOR.search(data[gap:end].decode())
-        if found is None:
+        gap = int(starts[first.end_lineno - 1] + first.end_col_offset)
+        end = int(starts[second.lineno - 1] + second.col_offset)
+        token = _OPERATOR.search(data[gap:end].decode())
+        if token is None:
             continue
-        operator = " ".join(found[0].split())
+        operator = " ".join(token[0].split())
         if operator in EXCHANGED:
             line = int(np.searchsorted(starts, gap, side="right"))
             yield Mutation(
                 module,
                 line,
-                gap + found.start(),
-                gap + found.end(),
+                gap + token.start(),
+                gap + token.end(),
                 operator,
                 EXCHANGED[operator],
             )
@@ -206,25 +206,28 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "clone"
         subprocess.run(["git", "clone", "--quiet", str(repository), str(root)], check=True)
-        place = Workplace(root)
-        left = []
-        for mutation in drawn(root, options.count, np.random.default_rng(options.seed)):
+        workplace = Workplace(root)
+        mutations = drawn(root, options.count, np.random.default_rng(options.seed))
+        doubtful = []
+        for mutation in mutations:
             tests = mirroring(root, mutation.module)
-            failed = [] if tests is None else place.failing([mutation], [str(tests)], first=True)
+            failed = (
+                [] if tests is None else workplace.failing([mutation], [str(tests)], first=True)
+            )
             print(f"{mutation}: {failed[0] if failed else f'not by {tests}'}", flush=True)
             if not failed:
-                left.append(mutation)
-        print(
-            f"\n{options.count - len(left)} of {options.count} noticed by tests that mirror them"
+                doubtful.append(mutation)
+        noticed = len(mutations) - len(doubtful)
+        print(f"\n{noticed} of {len(mutations)} noticed by the tests that mirror them", flush=True)
+        failed = (
+            workplace.failing(doubtful, ["tests"], workers=options.workers) if doubtful else []
         )
-        failed = place.failing(left, ["tests"], workers=options.workers) if left else []
-        by_fault = [name for name in failed if not place.failing([], [name])]
-        for mutation in list(left):
-            alone = place.failing([mutation], by_fault, first=True) if by_fault else []
-            print(f"{mutation}: {alone[0] if alone else 'not noticed'}", flush=True)
-            if alone:
-                left.remove(mutation)
-    print(f"\n{options.count - len(left)} of {options.count} noticed")
+        by_fault = [name for name in failed if not workplace.failing([], [name])]
+        for mutation in doubtful:
+            own_failed = workplace.failing([mutation], by_fault, first=True) if by_fault else []
+            noticed += bool(own_failed)
+            print(f"{mutation}: {own_failed[0] if own_failed else 'not noticed'}", flush=True)
+    print(f"\n{noticed} of {len(mutations)} noticed")
 
 
 if __name__ == "__main__":
