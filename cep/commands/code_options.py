@@ -106,6 +106,7 @@ class CodeOptions(CameraOptions, SceneOptions):
         exposure_s: float | None = None,
         objective: Mix = "min-mtf",
         rule: ScenarioRule = "worst",
+        frames: int = 1,
     ) -> SearchProblem:
         """Make the problem of the options along motions.
 
@@ -114,7 +115,7 @@ class CodeOptions(CameraOptions, SceneOptions):
         *motions : Trajectory or Scenario
         chips, exposure_s : optional
             Where the options leave them open; then 52 chips of 1 ms.
-        objective, rule
+        objective, rule, frames
             As of :class:`cep.search.problem.SearchProblem`.
         """
         from cep.search.limits import RunLimits
@@ -129,6 +130,7 @@ class CodeOptions(CameraOptions, SceneOptions):
             device=self.device,
             objective=objective,
             rule=rule,
+            frames=frames,
             runs=RunLimits(
                 min_open=self.min_open, min_closed=self.min_closed, max_pulses=self.max_pulses
             ),

@@ -63,7 +63,6 @@ _MOVED_OPTIONS = {
         "--duty": "is a share of the open chips: --open 40%:60%",
         "--each": "is a loop: for each file one cep optimize --trajectory FILE -o CODE",
         "--figure": "is for cep audit and cep mtf, which measure the code",
-        "--frames": "moved to the laboratory, in the repository: python -m lab frames",
         "--max-open": _DEVICE,
         "--min-period": _DEVICE,
         "--rule": _PYTHON,

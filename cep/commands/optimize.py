@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.commands.code_options import (
+    CODE,
     SEARCH,
     CodeOptions,
     SearchRunOptions,
@@ -33,7 +34,18 @@ class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOption
     """Options of ``cep optimize``."""
 
     chips: int | None = chips_option(
-        "Number of chips; when omitted as many as pay where mse is searched, else 52.", fewest=1
+        "Number of chips; when omitted as many as pay where mse is searched for one camera, else"
+        " 52.",
+        fewest=1,
+    )
+    frames: int = option(
+        "--frames",
+        "N",
+        "2 for two cameras that record one exposure at the same time, beside each other or behind"
+        " a beam splitter: one plays the code, the other its complement, and cep deblur restores"
+        " from both. --photons is the light of each.",
+        1,
+        panel=CODE,
     )
     speed: str | None = option(
         "--speed",
@@ -74,8 +86,8 @@ class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOption
         objective = objective_mix(self.objective or "mse")
         if self.objective is None and exact and uniform_length_px(stored.trajectory) is not None:
             objective = "min-mtf"  # a proof is for the minimum of a code's polynomial
-        if self.chips is not None or exact or objective != "mse":
-            return self.problem(*motions, objective=objective)
+        if self.chips is not None or exact or objective != "mse" or self.frames != 1:
+            return self.problem(*motions, objective=objective, frames=self.frames)
         return lambda chips: self.problem(
             *motions, chips=chips, exposure_s=ASSUMED_EXPOSURE_S, objective=objective
         )
@@ -86,11 +98,15 @@ def optimize(options: OptimizeOptions) -> None:
     """Search the code whose photo restores best along a motion; Ctrl-C keeps the best so far.
 
     The code is compared with what would be used instead, and never loses to what of it keeps the
-    limits, by the objective. Its minimum is certified, and a bound says how far from the best it
+    limits, by the objective; with --frames 2 together with its complement in a second camera. Of
+    one camera its minimum is certified, and a bound says how far from the best it
     can be at most. cep audit code.json checks the certificate again.
 
     Fields of --json that need a word:
 
+    - complement: with --frames 2 the chips of the second camera. min_mtf is then of the root of
+      the mean of both |H|^2, noise_gain_db and mse_db of the restoration from both photos;
+      certificate, bound and gap are null.
     - bound: what no code of so much light can exceed: min_chip for a uniform straight motion, else
       min_mtf. With --objective noise: the noise gain that none can fall below. null for other
       objectives.
@@ -114,6 +130,8 @@ def optimize(options: OptimizeOptions) -> None:
     Example: cep optimize --linear 36 --chips 36 --method exact
 
     Example: cep optimize --linear 52 --open 26 --objective min-mtf:0.15,noise:1
+
+    Example: cep optimize --trajectory motion/trajectory.json --frames 2 -o code.json
     """
     with progress("counting codes" if options.method == "exact" else "searching") as tick:
         from cep.search.code_search import SearchOptions
@@ -185,6 +203,8 @@ def _page(best: OptimizedCode, file: Path) -> Page:
         modulus, figure, head = ("|P|", "min_chip", "min |P|, chips")
     yield best.verdict.sentence
     yield f"{file}: {code.bits}"
+    if best.complement:
+        yield f"complement:{file}: {best.complement.bits}"
     chip, exposure = (duration(time_ns * 1e-9) for time_ns in (code.chip_ns, code.duration_ns))
     yield (
         f"{code.open_chips} of {code.chips} chips open, {openings(code)}; {chip} a chip,"
@@ -202,10 +222,15 @@ def _page(best: OptimizedCode, file: Path) -> Page:
         for row in best.comparison
     ]
     yield Table("compared on this motion (worse direction where unknown)", columns, rows)
-    yield (
-        f"certified: min {modulus} lies within "
-        f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g}"
-    )
+    if best.complement:
+        yield "both cameras, restored together; min MTF: root of the mean of both |H|^2, sampled"
+        yield f"one camera: cep export {file}, the other: cep export complement:{file}"
+        yield f"photos: cep deblur a.png b.png --code {file} --code complement:{file}"
+    if best.certificate:
+        yield (
+            f"certified: min {modulus} lies within "
+            f"{best.certificate.lower:.6g}..{best.certificate.upper:.6g}"
+        )
     if search.stopped == "proven" and search.proof is not None:
         proven = "proven"
         if "file" in search.proof:  # an earlier proof that comes with the package

@@ -1,4 +1,8 @@
-"""Photos of photographs, simulated along a motion, and the PSNR of their restoration."""
+"""Photos of photographs, simulated along a motion, and the PSNR of their restoration.
+
+A photo is taken through a code, or several at the same time by cameras with a code each, which are
+restored together.
+"""
 
 from __future__ import annotations
 
@@ -15,10 +19,11 @@ from cep.optics.exposure import coded_psf
 from cep.optics.response import ShutterResponse
 from cep.restoration.blur import trimmed_psf
 from cep.restoration.clipping import fill_clipped
-from cep.restoration.plug_and_play import pnp
+from cep.restoration.plug_and_play import pnp, pnp_together
 from motdiff.crops import centre_crop
 from motdiff.metrics import psnr, psnr_up_to_shift
 from motdiff.motions import with_smooth_error
+from motdiff.psf_frame import in_frame
 from motdiff.threads import side_by_side
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -37,6 +42,14 @@ _MOST_SHIFT_PX = 3.0  # of a photo restored along a path with an error
 def restored(photo: FloatArray, psf: FloatArray, *, camera: Camera) -> FloatArray:
     """Restore a photo as :func:`cep.restoration.restore.restore` does along a known motion."""
     return pnp(fill_clipped(photo, psf), psf, camera=camera)
+
+
+def restored_together(
+    photos: Sequence[FloatArray], psfs: Sequence[FloatArray], *, cameras: Sequence[Camera]
+) -> FloatArray:
+    """Restore photos as :func:`cep.restoration.together.restore_together` does where they lie."""
+    light = [fill_clipped(photo, psf) for photo, psf in zip(photos, psfs, strict=True)]
+    return pnp_together(light, psfs, cameras=cameras)
 
 
 @dataclass(frozen=True)
@@ -62,7 +75,7 @@ class PhotoTrial:
     judged_px : int
         Side of the middle of each photo that is judged.
     restore : callable
-        Takes (photo, psf, camera=...).
+        Takes (photo, psf, camera=...), of one photo.
     """
 
     motions: Sequence[Trajectory]
@@ -78,7 +91,7 @@ class PhotoTrial:
 
     def psnr_db(
         self,
-        codes: Sequence[ShutterCode],
+        codes: Sequence[ShutterCode | tuple[ShutterCode, ...]],
         numbers: Sequence[int] | None = None,
         *,
         tell: Callable[[int], None] = lambda _finished: None,
@@ -87,7 +100,8 @@ class PhotoTrial:
 
         Parameters
         ----------
-        codes : sequence of ShutterCode
+        codes : sequence of ShutterCode, or of tuples of them
+            A tuple holds those of cameras side by side.
         numbers : sequence of int, optional
             Which photographs; all when omitted.
         tell : callable
@@ -98,33 +112,45 @@ class PhotoTrial:
         jobs = [partial(self._measured, code, number) for code in codes for number in numbers]
         return np.array(side_by_side(jobs, tell=tell)).reshape(len(codes), len(numbers))
 
-    def _measured(self, code: ShutterCode, number: int) -> float:
-        path = self.motions[number % len(self.motions)]
-        psf = self._psf(path, code)
-        true_psf = psf
+    def _measured(self, codes: ShutterCode | tuple[ShutterCode, ...], number: int) -> float:
+        if isinstance(codes, ShutterCode):
+            codes = (codes,)
+        path = true_path = self.motions[number % len(self.motions)]
         if self.path_error_px > 0:
             rng = np.random.default_rng([self.seed, number, 1])
             true_path = with_smooth_error(path, self.path_error_px, rng=rng)
-            true_psf = self._psf(true_path, code)
-        integration_ns = ShutterCode(code.bits, self.chip_ns).integration_ns
-        camera = self.camera.with_dark_noise(integration_ns * 1e-9)
-        scene_side = len(true_psf) - 1
+        psfs = self._psfs(path, codes)
+        true_psfs = psfs if true_path is path else self._psfs(true_path, codes)
         side_px = self.judged_px
-        photo_shape = [side_px + 2 * _border_px(reach) for reach in _reaches_px(psf)]
+        reaches_px = np.max([_reaches_px(psf) for psf in psfs], axis=0).tolist()
+        scene_side = len(true_psfs[0]) - 1
+        photo_shape = [side_px + 2 * _border_px(reach) for reach in reaches_px]
         scene = _middle(self.photographs[number], *(side + scene_side for side in photo_shape))
         rng = np.random.default_rng([self.seed, number, 2])
-        photo = capture(scene, true_psf, camera=camera, rng=rng)
-        image = np.clip(self.restore(photo, psf, camera=camera), 0, 1)
-        compared = _middle(image, side_px, side_px)
+        cameras = [
+            self.camera.with_dark_noise(code.integration_ns * 1e-9)
+            for code in (ShutterCode(code.bits, self.chip_ns) for code in codes)
+        ]
+        photos = [
+            capture(scene, psf, camera=camera, rng=rng)
+            for psf, camera in zip(true_psfs, cameras, strict=True)
+        ]
+        if len(codes) == 1:
+            image = self.restore(photos[0], psfs[0], camera=cameras[0])
+        else:
+            image = restored_together(photos, psfs, cameras=cameras)
+        compared = _middle(np.clip(image, 0, 1), side_px, side_px)
         truth = _middle(scene, side_px, side_px)
-        if true_psf is psf:
+        if true_path is path:
             return psnr(compared, truth)
         # a shift of the restored photo is no error
         return psnr_up_to_shift(compared, truth, max_shift_px=_MOST_SHIFT_PX)
 
-    def _psf(self, path: Trajectory, code: ShutterCode) -> FloatArray:
+    def _psfs(self, path: Trajectory, codes: Sequence[ShutterCode]) -> list[FloatArray]:
+        """PSF of each code along a path, all of one size."""
         size = (path.frame_size() + 4) | 1  # the shutter's ramps may reach beyond the path
-        return trimmed_psf(coded_psf(path, code, size, response=self.response))
+        psfs = [trimmed_psf(coded_psf(path, code, size, response=self.response)) for code in codes]
+        return [in_frame(psf, max(map(len, psfs))) for psf in psfs]
 
 
 def grid_px(paths: Sequence[Trajectory]) -> int:

@@ -83,6 +83,38 @@ class CodeMetrics:
         return name in _GAINS and not getattr(self, name) <= HOPELESS_DB
 
 
+@dataclass(frozen=True)
+class PairMetrics:
+    """Figures of two cameras restored together, the worst of scenarios and directions.
+
+    Attributes
+    ----------
+    min_mtf : float
+        Smallest root of the mean of both ``|H|^2``, as sampled: no proof covers two codes.
+    noise_gain_db : float
+        ``10 log10 mean 1 / sum |H|^2``; infinite where a sample falls on a common zero.
+    mse_db : float
+        ``10 log10`` of the mean square error that a model of photographs expects of the best
+        linear restoration, with each camera's own noise.
+    """
+
+    min_mtf: float
+    noise_gain_db: float
+    mse_db: float
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Fields for JSON; a noise gain above :data:`HOPELESS_DB` is None, null in JSON."""
+        figures: dict[str, float | None] = asdict(self)
+        return figures | ({} if self.noise_gain_db <= HOPELESS_DB else {"noise_gain_db": None})
+
+    def in_words(self, name: str) -> float | str:
+        """One field for a table: "> 100" for a noise gain above :data:`HOPELESS_DB`."""
+        if name == "noise_gain_db" and not self.noise_gain_db <= HOPELESS_DB:
+            return f"> {HOPELESS_DB:.0f}"
+        figure: float = getattr(self, name)
+        return figure
+
+
 def measure(
     trajectory: Trajectory,
     code: ShutterCode,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from cep.codes.published import for_chips
 from cep.files.tables import markdown_table
 from cep.optics.code import ShutterCode
-from cep.proofs.measure import CodeMetrics
+from cep.proofs.measure import CodeMetrics, PairMetrics
 from cep.search.annealing.anneal import anneal
 from cep.search.cost import FINE, CodeCost
 from cep.search.limits import Limits, RunLimits
@@ -31,6 +31,7 @@ _RANDOM_CODES = 15
 _LENGTH_ONLY_MOVES = 200_000
 _LENGTH_ONLY_SHARE = 0.25  # of the time limit: the only baseline that may take long
 _WITHIN = " within the limits"
+_AND_COMPLEMENT = " and complement"
 _ALL_RUNS_WORK = 2**35  # multiplications that evaluating every snapshot may take: seconds
 _LENGTHS = 32  # of snapshots beyond that, before the best one is moved chip by chip
 _STARTS = 16
@@ -48,12 +49,13 @@ class BaselineRow(ComparedCode):
 
     Attributes
     ----------
-    metrics : CodeMetrics
+    metrics : CodeMetrics or PairMetrics
         Worst over the problem's scenarios and directions. Only the first row's ``min_mtf_lower``
-        is worth anything: the others carry no certificate.
+        is worth anything: the others carry no certificate. Of a problem of two frames those of
+        both cameras.
     """
 
-    metrics: CodeMetrics
+    metrics: CodeMetrics | PairMetrics
 
 
 class Comparison(tuple[BaselineRow, ...]):
@@ -78,6 +80,7 @@ def compare(
     Parameters
     ----------
     problem : SearchProblem
+        Of one frame; pairs: :func:`cep.search.pairs.compare_pairs`.
     code : ShutterCode
     baselines : iterable of Baseline, optional
         As the code's search returned them; the problem's :func:`find_baselines` when omitted.
@@ -98,6 +101,8 @@ def compare(
     >>> [row.name for row in rows][:4]
     ['this code', 'open shutter', 'best snapshot', 'best strobe']
     """
+    if problem.frames == 2:
+        raise ValueError("frames: 2 is for cep.optimize, whose result compares two cameras")
     if baselines is None:
         baselines = find_baselines(problem, rng=np.random.default_rng(seed))
     rows = [
@@ -160,14 +165,20 @@ def find_baselines(
     strobe the periodic pulses, that are best by the problem's objective. The length-only code is
     searched as the DNF methods do: for a uniform straight motion of the path's length, least
     noise. The random code is the middle one of 15 by the objective.
+
+    Of a problem of two frames each is played beside its complement, which the open shutter has
+    none of: the snapshot is a single run in one camera, and the rest in the other.
     """
     judge = judge or CodeCost(problem, **FINE)
 
     def baseline(name: str, code: ShutterCode, *, stopped_early: bool = False) -> Baseline:
         allowed = problem.allows(code)
+        if problem.frames == 2:
+            name += _AND_COMPLEMENT
         return Baseline(name, code, allowed, stopped_early, cost_db=judge.exact_cost(code))
 
-    yield baseline("open shutter", ShutterCode("1" * problem.chips))
+    if problem.frames == 1:
+        yield baseline("open shutter", ShutterCode("1" * problem.chips))
     coarse = CodeCost(problem, oversampling=_COARSE)
     for name, best in (("best snapshot", best_snapshot), ("best strobe", best_strobe)):
         free = best(coarse)
@@ -236,7 +247,10 @@ def best_snapshot(code_cost: CodeCost, *, within_limits: bool = False) -> Shutte
         None where no single run keeps the limits.
     """
     n = code_cost.problem.chips
-    limits = code_cost.problem.limits if within_limits else Limits(n, (1, n))
+    # of two frames one chip is left for the complement
+    limits = Limits(n, (1, n + 1 - code_cost.problem.frames))
+    if within_limits:
+        limits = code_cost.problem.limits
     fits = _fitting_runs(limits)
     lengths = np.flatnonzero(fits.any(axis=1))
     most_lengths = _LENGTHS
@@ -255,7 +269,7 @@ def best_snapshot(code_cost: CodeCost, *, within_limits: bool = False) -> Shutte
     while runs:
         firsts, stops = np.array(runs).T
         codes = ((chip >= firsts[:, None]) & (chip < stops[:, None])).astype(np.int8)
-        costs = _costs(code_cost, codes)
+        costs = np.where(limits.satisfied(codes), _costs(code_cost, codes), np.inf)
         if costs.min() >= lowest:
             break
         best = runs[int(costs.argmin())]

@@ -97,7 +97,7 @@ class SearchOptions:
 def searched_problem(problem: SearchProblem) -> SearchProblem:
     """Reduce to the unit circle a problem where only the code's polynomial matters."""
     # |H| = |sinc| |P|: the largest min |P| holds for any speed, and has exact proofs
-    if problem.on_circle and problem.objective == "min-mtf":
+    if problem.on_circle and problem.objective == "min-mtf" and problem.frames == 1:
         return replace(problem, scenarios=())
     return problem
 
@@ -250,6 +250,7 @@ def described_search(
     return {
         "chips": problem.chips,
         **asdict(problem.runs),
+        "frames": problem.frames,
         "open_range": problem.open_limits,
         "objective": problem.objective,
         "direction": problem.direction,

@@ -1,5 +1,15 @@
 """Cost of codes on a problem's sampled frequencies, in decibels: a mix of its objectives.
 
+Of two cameras that play a code and its complement, the restoration from both photos sees the mean
+of both powers. With OTFs C of the code and O of the open shutter, both linear in the chips, the
+complement has O - C, and
+
+    ``(|C|^2 + |O - C|^2) / 2 = |C - O / 2|^2 + |O / 2|^2``.
+
+So all that a single code does with H, a pair does with the OTF of chips +-1/2, on a floor of the
+power that no code changes. The noise is that of half of the light, which is both cameras' mean:
+exact for codes that are half open.
+
 The objectives are those of :data:`cep.search.objectives.OBJECTIVES`.
 """
 
@@ -64,9 +74,13 @@ class CodeCost:
     parts : tuple of Part
     priors, shares_across : (F, Q) ndarray
         Inverse scene spectrum at each column's radii, and the shares of these.
+    open_half : (2, F) ndarray or None
+        Half of the OTF of the open shutter, where a second camera plays the complement.
+    floor : (F,) ndarray
+        Power of that, below which none is: 0 for one camera.
     noise : (n + 1,) ndarray
         Variance of the noise by number of open chips, with the dark current of the whole exposure;
-        see :meth:`noise_of`.
+        see :meth:`noise_of`. Of two cameras, of the mean of both photos.
     scenario_shares : (scenarios,) ndarray
     """
 
@@ -115,6 +129,12 @@ class CodeCost:
         self.rows: RealArray = np.ascontiguousarray(
             np.stack([basis.real, basis.imag], axis=2).astype(dtype)
         )
+        self.open_half: RealArray | None = None
+        self.floor: RealArray = np.zeros(basis.shape[-1], dtype)
+        if problem.frames == 2:
+            # with ramps exact where the shutter opens as fast as it closes
+            self.open_half = coded_sum(self.rows, np.ones((1, problem.chips)))[0] / 2
+            self.floor = (self.open_half**2).sum(axis=0)
         self.parts = tuple(parts)
         self.shares_across: RealArray = _stacked(
             [motion.samples.radius2_weight for motion in parts]
@@ -149,13 +169,23 @@ class CodeCost:
             noise_variance(camera, counts / chips, integration_s=integrated * chip_s, scene=scene)
             for integrated in (chips, counts)
         )
+        if self.problem.frames == 2:
+            half_light = noise_variance(camera, 1 / 2, integration_s=chips * chip_s, scene=scene)
+            self.noise = self._noise_of_one = np.full(chips + 1, half_light / 2)
 
     def otf(self, codes: RealArray) -> RealArray:
-        """(R, 2, F) real and imaginary OTF of (R, n) codes."""
-        return coded_sum(self.rows, codes)
+        """(R, 2, F) real and imaginary OTF of (R, n) codes; of two cameras that of C - O / 2."""
+        otf = coded_sum(self.rows, codes)
+        return otf if self.open_half is None else otf - self.open_half
 
     def duty(self, codes: RealArray) -> NDArray[np.float64]:
-        """(R,) open fraction of the exposure, with the shutter's ramps where there are any."""
+        """(R,) open fraction of the exposure, with the shutter's ramps where there are any.
+
+        Of two cameras their mean, half of the open shutter's.
+        """
+        if self.problem.frames == 2:
+            every_chip = np.ones((1, self.problem.chips))
+            return np.full(len(codes), open_time(every_chip, self.problem.response) / 2)
         return open_time(codes, self.problem.response)
 
     def noise_of(self, codes: RealArray) -> NDArray[np.float64]:
@@ -196,13 +226,16 @@ class CodeCost:
     def exact_cost(self, code: ShutterCode) -> float:
         """Cost of one code, dB, with every minimum taken over the continuum.
 
+        Two cameras' are sampled, finely in a cost for judging: both powers rarely vanish together.
+
         A curved path's H is a complex function of two frequencies: for nearly every code it has
         isolated true zeros, which no code can flip away. Such codes cost 60 dB more than their
         sampled minimum, so that they still rank.
         """
         chips = code.array[None]
         otf = self.otf(chips)
-        if any(criterion.continuum for criterion, _ in self.problem.criteria):
+        continuum = any(criterion.continuum for criterion, _ in self.problem.criteria)
+        if continuum and self.problem.frames == 1:
             for motion in self.parts:
                 modulus = np.hypot(otf[0, 0, motion.columns], otf[0, 1, motion.columns])
                 deepest = int(modulus.argmin())
@@ -225,7 +258,7 @@ class CodeCost:
             )
         squared = otf * otf
         # at a true zero 1 / |H|^2 must stay finite, in float32 as well
-        power = np.maximum(squared[:, 0] + squared[:, 1], 1e-30)
+        power = np.maximum(squared[:, 0] + squared[:, 1] + self.floor, 1e-30)
         worst = np.full((self.scenario_shares.size, len(power)), -np.inf)
         for motion in self.parts:
             spectrum = Spectrum(

@@ -15,7 +15,14 @@ from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import anneal
 from cep.search.baselines import best_snapshot, best_strobe, evenly_some
 from cep.search.cost import CodeCost
-from cep.search.expected import WORTH_DB, ExpectedPsnr, collected_e, equal_light_noise, light_noise
+from cep.search.expected import (
+    WORTH_DB,
+    ExpectedPsnr,
+    collected_e,
+    equal_light_noise,
+    joint_psnr_db,
+    light_noise,
+)
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.search_result import SearchResult
@@ -129,6 +136,11 @@ class ExposureFinder:
     """
 
     def __init__(self, problem: SearchProblem) -> None:
+        if problem.frames == 2:
+            raise ValueError(
+                "frames: 2 is for cep.optimize with a given number of chips; the exposures of one"
+                " camera are asked for here"
+            )
         problem = replace(problem, objective="mse")
         self._fast = self._coarse = CodeCost(problem, oversampling=_OVERSAMPLING)
         samples: dict[str, Any] = {"oversampling": _OVERSAMPLING}
@@ -303,6 +315,7 @@ def check_light(problem: SearchProblem) -> None:
     """
     if not problem.scenarios:
         raise ValueError("scenarios: need a motion to advise on")
+    problem = problem.of_one_camera  # of two, each may take a single exposure
     try:
         problem.camera.at(problem.camera.photons_full_scale)
     except ValueError as error:  # no option but the camera's file states such a light
@@ -370,6 +383,42 @@ def judged_exposures(
             tuple(map(Exposure, kinds, distinct, psnr_db, equal_light_db, allowed, saturates))
         )
     return judgements
+
+
+def pair_exposures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> tuple[Exposure, ...]:
+    """Judge two cameras restored together: alike in their exposure, or by a code and complement.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        Of two frames, at the light of its camera. Its path counts as known exactly.
+    codes : sequence of ShutterCode
+        Each played by one camera while the other plays its complement.
+
+    Returns
+    -------
+    tuple of Exposure
+        Both open, first; single exposures, the same in both cameras, of every length; and last,
+        of kind "code" however often they open, the pairs.
+    """
+    camera = problem.camera
+    single = problem.of_one_camera
+    ordinary = ExposureFinder(single).ordinary(camera, every_length=True)
+    (alike,) = judged_exposures(single, [camera], ordinary, path_error_px=0.0, frames=2)
+    exposures = [exposure for exposure in alike if exposure.kind in PLAIN]
+    for code in codes:
+        code = ShutterCode(code.bits, problem.chip_ns)
+        pair = [code, code.complement()]
+        noise = [
+            model(camera, pair, response=problem.response, scene=problem.scene)
+            for model in (light_noise, equal_light_noise)
+        ]
+        psnr_db, equal_light_db = joint_psnr_db(problem, pair, noise=noise).tolist()
+        electrons = collected_e(camera, pair, response=problem.response)
+        saturates = bool((electrons > _full_e(camera)).any())
+        within = problem.allows(code)
+        exposures.append(Exposure("code", code, psnr_db, equal_light_db, within, saturates))
+    return tuple(exposures)
 
 
 def best_possible(exposures: Sequence[Exposure]) -> Exposure:

@@ -127,11 +127,38 @@ class Limits:
     open_range : (int, int)
         Fewest and most open chips.
     runs : RunLimits
+    with_complement : bool
+        Whether the code that is open where this one is closed must keep them too, as a second
+        shutter plays it. The walks know only what both ask of the runs between two others.
     """
 
     chips: int
     open_range: tuple[int, int]
     runs: RunLimits = RunLimits()
+    with_complement: bool = False
+
+    @classmethod
+    def of_pair(cls, chips: int, open_range: tuple[int, int], runs: RunLimits) -> Limits:
+        """Limits that a code and its complement both keep, of the limits of one shutter.
+
+        Examples
+        --------
+        >>> limits = Limits.of_pair(10, (2, 7), RunLimits(min_open=2))
+        >>> limits.open_range
+        (3, 7)
+        >>> limits.satisfied(np.array([[0, 0, 0, 1, 1, 1, 1, 0, 0, 0], [0, 1, 1, 1] + [0] * 6]))
+        array([ True, False])
+        """
+        low, high = open_range
+        fewest = max(low, runs.min_open)
+        # a gap between two pulses is a pulse of the complement
+        gap = max(runs.min_closed, runs.min_open)
+        return cls(
+            chips,
+            (max(fewest, chips - high), min(high, chips - fewest)),
+            replace(runs, min_closed=gap),
+            with_complement=True,
+        )
 
     @property
     def counts_runs(self) -> bool:
@@ -193,6 +220,13 @@ class Limits:
     def satisfied(self, codes: NDArray[np.integer] | BoolArray) -> BoolArray:
         """Which of (R, n) codes keep every limit, (R,) bool."""
         is_open = np.asarray(codes) != 0
+        ok = self._keep(is_open)
+        if self.with_complement:
+            ok &= self._keep(~is_open)
+        return ok
+
+    def _keep(self, is_open: BoolArray) -> BoolArray:
+        """Which of (R, n) codes, each by itself, keep the limits."""
         runs = self.runs
         count = is_open.sum(axis=1)
         ok = (count >= max(self.open_range[0], runs.min_open)) & (count <= self.open_range[1])

@@ -22,7 +22,7 @@ from cep.optics.straight_motion import straight_axis
 from cep.photographs import scenes
 from cep.photographs.trial import PhotoTrial, grid_px
 from cep.search.expected import WORTH_DB
-from cep.search.exposures import Choice, Exposure
+from cep.search.exposures import CODED, Choice, Exposure
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -33,6 +33,8 @@ LONGEST_PX = 128.0
 GAINS_TABLE = Path(__file__).with_name("gains.csv")
 """Gains over the open shutter of the best single exposure and the best code, by the model and on
 photographs."""
+
+_Key = tuple[Choice, str]
 
 # distances at which a case of the table counts e^-1/2: a third of a step between its cases
 _DECADES = 0.4  # of light and of read noise
@@ -101,6 +103,7 @@ def measured_exposures(
         path_error_px=path_error_px,
         seed=seed,
     )
+    played = _played_by_two if problem.frames == 2 else _played
     groups = _candidates(modelled, {code.bits for code in own_codes})
     rounds = [*(number for number in _FIRST_ROUNDS if number < count), count]
     # the number of photos of each group in each round is known before
@@ -110,19 +113,33 @@ def measured_exposures(
     def measure(group: Sequence[Exposure], numbers: range) -> FloatArray:
         nonlocal finished
         levels = trial.psnr_db(
-            [exposure.code for exposure in group],
+            [played(exposure) for exposure in group],
             numbers,
             tell=lambda photos: progress((finished + photos) / planned),
         )
         finished += levels.size
         return levels
 
-    measured: dict[str, Exposure] = {}
+    measured: dict[_Key, Exposure] = {}
     for group in groups:
-        measured |= {exposure.code.bits: exposure for exposure in _halved(group, rounds, measure)}
-    return tuple(
-        measured[exposure.code.bits] for exposure in modelled if exposure.code.bits in measured
-    )
+        measured |= {_key(exposure): exposure for exposure in _halved(group, rounds, measure)}
+    return tuple(measured[_key(exposure)] for exposure in modelled if _key(exposure) in measured)
+
+
+def _key(exposure: Exposure) -> _Key:
+    """Kind and code: of two cameras a single opening in both is none, with its rest, in each."""
+    return exposure.kind, exposure.code.bits
+
+
+def _played(exposure: Exposure) -> tuple[ShutterCode, ...]:
+    return (exposure.code,)
+
+
+def _played_by_two(exposure: Exposure) -> tuple[ShutterCode, ...]:
+    """Return the codes of two cameras: a code and its complement, or one exposure in both."""
+    if exposure.kind in CODED:
+        return exposure.code, exposure.code.complement()
+    return exposure.code, exposure.code
 
 
 def is_measured(problem: SearchProblem, photographs: Sequence[FloatArray] | None = None) -> bool:
@@ -192,12 +209,12 @@ def _candidates(modelled: Sequence[Exposure], own_bits: set[str]) -> list[list[E
     shortlist = dict.fromkeys([*[*best_of_length.values()][:_LENGTHS], *at_equal_light])
     groups += [[*codes, *strobes], [*shortlist], [modelled[0]]]
     # of several groups the first counts: those before the codes are measured in full
-    group_of: dict[str, int] = {}
+    group_of: dict[_Key, int] = {}
     for index, group in enumerate(groups):
         for exposure in group:
-            group_of.setdefault(exposure.code.bits, index)
+            group_of.setdefault(_key(exposure), index)
     distinct = [
-        [exposure for exposure in group if group_of[exposure.code.bits] == index]
+        [exposure for exposure in group if group_of[_key(exposure)] == index]
         for index, group in enumerate(groups)
     ]
     return [group for group in distinct if group]

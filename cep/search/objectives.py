@@ -30,7 +30,7 @@ class Spectrum(NamedTuple):
     Attributes
     ----------
     power : (R, F)
-        ``|H|^2``, light-true.
+        ``|H|^2``, light-true; of two cameras the mean of both.
     weight : (F,)
         Shares of the band, which sum to 1.
     priors, shares : (F, Q)
@@ -106,7 +106,8 @@ class Criterion(ABC):
     def terms(self, columns: Columns) -> tuple[FloatArray, FloatArray]:
         """Return scale and offset (Q, F) of the terms that the compiled loops sum.
 
-        A term's x is ``light scale |P|^2 + offset``, with ``|P|`` in chips.
+        A term's x is ``light scale |P|^2 + offset``, with ``|P|`` in chips. Of the flatness the
+        offset is added to ``|P|^2``.
         """
 
     def light(self, open_chips: FloatArray, _noise: FloatArray) -> FloatArray:
@@ -156,9 +157,9 @@ class Flatness(Criterion):
         return np.asarray(np.maximum(mean_power - mean**2, 1e-12) / spectrum.duty**2)
 
     def terms(self, columns: Columns) -> tuple[FloatArray, FloatArray]:
-        """Return the weights of both means; the loops form the variance and need no offset."""
+        """Return the weights of both means, without an offset; the loops form the variance."""
         weight = columns.weight[None]
-        return weight, weight * 0.0 + NO_TERM
+        return weight, weight * 0.0
 
     def light(self, open_chips: FloatArray, _noise: FloatArray) -> FloatArray:
         """Return ``1 / open_chips^2``."""

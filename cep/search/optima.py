@@ -133,7 +133,11 @@ def proven_optimum(problem: SearchProblem) -> ExactResult | None:
     >>> found.code.bits, found.proof.file
     ('11111001101010', 'docs/optima.md')
     """
-    if problem.scenarios or [name for name, _ in problem.objective_mix] != ["min-mtf"]:
+    if (
+        problem.frames == 2
+        or problem.scenarios
+        or [name for name, _ in problem.objective_mix] != ["min-mtf"]
+    ):
         return None
     started = time.monotonic()
     low, high = problem.open_limits

@@ -66,7 +66,9 @@ def optimize(
     Parameters
     ----------
     problem : SearchProblem or callable
-        A callable returns the problem with so many chips: as many as pay are chosen, see
+        Of two frames the code is one of a pair of cameras, whose other plays its complement: it
+        has no certificate and no bound, and what it gains is what both gain together. A callable
+        returns the problem of one camera with so many chips: as many as pay are chosen, see
         :func:`cep.search.chip_count.choose_chips`. After Ctrl-C within that choice the best of the
         codes to start from and to compare with is returned.
     method, steps, time_s, seed
@@ -78,8 +80,8 @@ def optimize(
         Rms error of the path where it is an estimate: the verdict counts it, the search does not.
     photographs : sequence of (H, W) float ndarrays, linear light, optional
         On which the verdict is measured, as of :func:`cep.search.advise.advise`. With the
-        objective "mse" the code is the best on them of those searched for its light, a third and a
-        tenth of it, unless a limit or Ctrl-C ended the search.
+        objective "mse" the code of one camera is the best on them of those searched for its light,
+        a third and a tenth of it, unless a limit or Ctrl-C ended the search.
     threads : int, optional
         As many as there are cores when omitted; the code does not depend on it.
     announce : callable, optional
@@ -130,7 +132,7 @@ def optimize(
     measuring = _part(progress, _SEARCH_SHARE, _MEASURED_SHARE)
     measuring(0.0, _MEASURING)
     costs_db: dict[ShutterCode, float] = {}
-    if problem.objective == "mse" and search.stopped == "steps":
+    if problem.objective == "mse" and search.stopped == "steps" and problem.frames == 1:
         costs_db = _for_less_light(problem, search, seed=seed, threads=threads)
     judgement = verdict(
         problem,
@@ -207,8 +209,10 @@ def _searched(
     )
     code = replace(search.code, chip_ns=problem.chip_ns)
     # the limits already keep to the device: its own check has the last word
-    if reason := unplayable(code.bits, problem.device, code.chip_ns):
-        raise ValueError(reason)
+    played = [code, code.complement()] if problem.frames == 2 else [code]
+    for camera_code in played:
+        if reason := unplayable(camera_code.bits, problem.device, code.chip_ns):
+            raise ValueError(reason)
     if chip_count is not None and chip_count.early == "interrupted":
         return replace(search, code=code, stopped="interrupted")
     return replace(search, code=code)

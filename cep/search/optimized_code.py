@@ -10,7 +10,7 @@ from typing import Any
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.certificate import Certificate, certify
-from cep.proofs.measure import CodeMetrics
+from cep.proofs.measure import CodeMetrics, PairMetrics
 from cep.search.baselines import Comparison, compare
 from cep.search.bounds import bound
 from cep.search.chip_count import ChipCount
@@ -20,6 +20,7 @@ from cep.search.code_search import (
     ended_early,
     searched_problem,
 )
+from cep.search.pairs import compare_pairs
 from cep.search.problem import SearchProblem
 from cep.search.search_result import SearchResult
 from cep.search.verdict import Verdict
@@ -43,8 +44,8 @@ class OptimizedCode:
     along : Trajectory or None
         What the certificate is for; None: the unit circle, where only the code's polynomial
         matters.
-    certificate : Certificate
-        Of the code's smallest MTF.
+    certificate : Certificate or None
+        Of the code's smallest MTF; None of a code and its complement in two cameras.
     figure : str
         Name of what is bounded, with its unit; empty where nothing bounds the objective.
     bound, gap : float or None
@@ -61,7 +62,7 @@ class OptimizedCode:
     comparison: Comparison
     verdict: Verdict
     along: Trajectory | None
-    certificate: Certificate
+    certificate: Certificate | None
     figure: str
     bound: float | None
     gap: float | None
@@ -73,7 +74,12 @@ class OptimizedCode:
         return self.comparison[0].code
 
     @property
-    def metrics(self) -> CodeMetrics:
+    def complement(self) -> ShutterCode | None:
+        """The code of the second camera, if there is one."""
+        return self.code.complement() if self.problem.frames == 2 else None
+
+    @property
+    def metrics(self) -> CodeMetrics | PairMetrics:
         """Its figures, worst of each over the problem's motions and directions."""
         return self.comparison[0].metrics
 
@@ -92,7 +98,7 @@ class OptimizedCode:
                 " may give another"
                 for name in early
             ),
-            *certificate_warnings(self.problem),
+            *(certificate_warnings(self.problem) if self.certificate else ()),
             # the search does not know the well: only the verdict does
             *(
                 "the code saturates at this light: search with fewer open chips, or give what can"
@@ -112,6 +118,7 @@ class OptimizedCode:
             "choice": self.verdict.choice,
             "gains_db": self.verdict.gains_db,
             "bits": code.bits,
+            **({"complement": self.complement.bits} if self.complement else {}),
             "chips": code.chips,
             "open": code.open_chips,
             "duty": code.duty,
@@ -121,7 +128,7 @@ class OptimizedCode:
             "objective": search.objective,
             "proven": search.stopped == "proven",
             "proof": (search.proof or {}).get("file"),
-            "certificate": self.certificate.to_dict(),
+            "certificate": self.certificate and self.certificate.to_dict(),
             "bound": self.bound,
             "gap": self.gap,
             "seconds": search.seconds,
@@ -154,13 +161,18 @@ class OptimizedCode:
         """
         stored = stored_code(self.problem, self.how, self.search)
         about = {**(source or {}), **stored.problem}
-        certificate = self.certificate.to_dict()
-        write_code(path, StoredCode(stored.code, self.metrics.to_dict(), about, certificate))
+        metrics = self.metrics
+        if isinstance(metrics, PairMetrics):
+            about["pair"] = metrics.to_dict()
+            metrics = self.problem.measure(self.code)
+        certificate = self.certificate.to_dict() if self.certificate else {}
+        write_code(path, StoredCode(stored.code, metrics.to_dict(), about, certificate))
 
     def __repr__(self) -> str:
         lines = [
             self.verdict.sentence,
             f"{self.code.bits}: {self.code.open_chips} of {self.code.chips} chips open",
+            *([f"{self.complement.bits}: its complement"] if self.complement else []),
             repr(self.comparison),
         ]
         if self.bound is not None:
@@ -175,7 +187,10 @@ class OptimizedCode:
         from cep.plots.codes import mtf_figure
 
         path = self.along or self.problem.scenarios[0].trajectory
-        return png_bytes(mtf_figure(path, {"open shutter": None, "this code": self.code}))
+        codes: dict[str, ShutterCode | None] = {"open shutter": None, "this code": self.code}
+        if self.complement:
+            codes["its complement"] = self.complement
+        return png_bytes(mtf_figure(path, codes))
 
 
 def described(
@@ -187,12 +202,21 @@ def described(
     motion: Trajectory,
     chip_count: ChipCount | None = None,
 ) -> OptimizedCode:
-    """Compare a searched code with others, certify it along the motion, and bound it."""
-    comparison = compare(problem, search.code, baselines=search.baselines)
+    """Compare a searched code with others, and of one camera certify it, and bound it."""
+    if problem.frames == 2:
+        best_snapshot = judgement.best("snapshot")
+        comparison = compare_pairs(
+            problem,
+            search.code,
+            baselines=search.baselines,
+            snapshot=None if best_snapshot is None else best_snapshot.code,
+        )
+    else:
+        comparison = compare(problem, search.code, baselines=search.baselines)
     path: Trajectory | None = None  # of a straight motion |P| is certified, whatever its speed
-    if not problem.on_circle:
+    if not problem.on_circle or problem.frames == 2:
         path = _as_designed(motion, problem.direction)
-    certificate = certify(search.code, path)
+    certificate = certify(search.code, path) if problem.frames == 1 else None
     bounded = _bounded(problem, search, comparison[0].metrics, straight=path is None)
     return OptimizedCode(
         problem, how, search, comparison, judgement, path, certificate, *bounded, chip_count
@@ -225,13 +249,13 @@ def certificate_warnings(problem: SearchProblem) -> list[str]:
 def _bounded(
     problem: SearchProblem,
     search: SearchResult,
-    metrics: CodeMetrics,
+    metrics: CodeMetrics | PairMetrics,
     *,
     straight: bool,
 ) -> tuple[str, float | None, float | None]:
     """Name, bound and gap of the figure that was optimised, None where nothing bounds it."""
-    # no bound is known for a mix, the flatness or the expected error
-    if problem.objective not in ("min-mtf", "noise"):
+    # no bound is known for two cameras, a mix, the flatness or the expected error
+    if isinstance(metrics, PairMetrics) or problem.objective not in ("min-mtf", "noise"):
         return "", None, None
     if straight and search.proof is not None and search.stopped == "proven":
         limit = search.proof["upper"]  # tighter than the bound: it counted every code

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal, TypedDict, Unpack
 
 import numpy as np
@@ -54,6 +54,7 @@ class ProblemFields(TypedDict, total=False):
     camera: Camera
     chip_ns: int
     scene: Scene
+    frames: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,6 +91,11 @@ class SearchProblem:
         Shutter whose limits are among the others, as of :meth:`along`; code files carry it.
     scene : Scene
         What is photographed, for the objective "mse".
+    frames : {1, 2}
+        Photos of the exposure. Two are those of a pair of cameras, which play the code and its
+        complement at the same time and are restored together: both codes keep the limits, and the
+        objective is of both (:class:`cep.search.cost.CodeCost`). The camera, with its light, is
+        each of the two.
 
     Raises
     ------
@@ -117,8 +123,14 @@ class SearchProblem:
     chip_ns: int = 1_000_000
     device: DeviceProfile | None = None
     scene: Scene = PHOTO
+    frames: int = 1
 
     def __post_init__(self) -> None:
+        if self.frames not in (1, 2):
+            raise ValueError(
+                "frames: must be 1, or 2 for a pair of cameras that play a code and its"
+                f" complement, got {self.frames}; codes of more exposures: python -m lab frames"
+            )
         if not isinstance(self.chip_ns, int) or self.chip_ns < 1:
             raise ValueError(
                 f"chip_ns: must be a whole number of nanoseconds above 0, got {self.chip_ns!r}"
@@ -272,8 +284,9 @@ class SearchProblem:
     @property
     def open_limits(self) -> tuple[int, int]:
         """Fewest and most open chips that the limits leave."""
-        low, high = self.open_range or (1, self.chips)
-        return max(low, self.runs.min_open), high
+        limits = self.limits
+        low, high = limits.open_range
+        return max(low, limits.runs.min_open), high
 
     @property
     def limits_runs(self) -> bool:
@@ -288,9 +301,16 @@ class SearchProblem:
 
     @property
     def limits(self) -> Limits:
-        """All limits of a code."""
-        low, high = self.open_range or (1, self.chips)
-        return Limits(self.chips, (low, high), self.runs)
+        """All limits of a code, and of its complement where a second camera plays that."""
+        open_range = self.open_range or (1, self.chips)
+        if self.frames == 2:
+            return Limits.of_pair(self.chips, open_range, self.runs)
+        return Limits(self.chips, open_range, self.runs)
+
+    @property
+    def of_one_camera(self) -> SearchProblem:
+        """The same problem for one camera."""
+        return replace(self, frames=1)
 
     def both_directions(self, trajectory: Trajectory) -> bool:
         """Whether the reversed path counts as well; a uniform straight one is its own."""
@@ -323,7 +343,7 @@ class SearchProblem:
         return draw(self.limits, count, rng=rng)
 
     def measure(self, code: ShutterCode, *, budget: int = 20_000) -> CodeMetrics:
-        """Worst of each figure over all scenarios and directions.
+        """Worst of each figure of one camera over all scenarios and directions.
 
         The shutter opens and closes by :attr:`response`. The chips last as long as the problem's,
         whatever the code says.
@@ -366,7 +386,21 @@ class SearchProblem:
                 f"min_open: runs of {shortest} open chips conflict with at most {high} open chips"
                 " (open_range)"
             )
+        if self.frames == 2:
+            self._check_complements(low, high)
         check_feasible(self.limits)
+        if self.frames == 2 and self.limits_runs:
+            self.random_codes(1, rng=np.random.default_rng(0))  # refuses where it finds none
+
+    def _check_complements(self, low: int, high: int) -> None:
+        fewest_open, most_open = self.limits.open_range
+        if fewest_open > most_open:
+            low = max(low, self.runs.min_open)
+            raise ValueError(
+                f"open_range and frames: conflict: with {low} to {high} of {self.chips} chips"
+                f" open in one camera, {self.chips - high} to {self.chips - low} are in the"
+                f" other; a range around {self.chips / 2:g} suits both"
+            )
 
 
 def _scenario(motion: Trajectory | MotionEstimate | Scenario) -> Scenario:

@@ -17,6 +17,8 @@ from motdiff.types import FloatArray
 
 IntArray = NDArray[np.intp]
 _MOST_COUNTS = 2**26  # numbers of a table of walks: 512 MB
+_DRAWN = 256  # codes at a time, of which those whose complement keeps the limits are left
+_MOST_DRAWS = 256
 
 
 def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.int8]:
@@ -26,8 +28,24 @@ def draw(limits: Limits, count: int, *, rng: np.random.Generator) -> NDArray[np.
     ------
     ValueError
         If there are too many chips, thousands, for a limit on pulses beside one on their length or
-        period.
+        period; or of 65,536 codes the complement of none keeps the limits, where it must.
     """
+    if not limits.with_complement:
+        return _draw_alone(limits, count, rng)
+    codes = np.empty((0, limits.chips), dtype=np.int8)
+    for _ in range(_MOST_DRAWS):
+        candidates = _draw_alone(limits, max(count, _DRAWN), rng)
+        codes = np.concatenate([codes, candidates[limits.satisfied(candidates)]])
+        if len(codes) >= count:
+            return codes[:count]
+    raise ValueError(
+        f"frames: no code of {limits.chips} chips was drawn whose complement keeps the shutter's"
+        " limits as well"
+    )
+
+
+def _draw_alone(limits: Limits, count: int, rng: np.random.Generator) -> NDArray[np.int8]:
+    """Draw codes that keep the limits by themselves."""
     if limits.counts_runs:
         return _draw_walks(limits, count, rng)
     return _draw_free(limits, count, rng)

@@ -23,6 +23,7 @@ from cep.search.exposures import (
     check_light,
     gain_range_db,
     judged_exposures,
+    pair_exposures,
     simplest,
 )
 from cep.search.measured import corrected, is_measured, measured_exposures, shifts_db
@@ -52,6 +53,9 @@ class Verdict:
         Rms error that the path was taken to have.
     frames : int
         Photos restored together, each exposed in the same way but for a code.
+    is_pair : bool
+        Whether they are those of two cameras in one exposure: the code's complement is in the
+        second.
     scene : Scene
         What is photographed.
     """
@@ -63,6 +67,7 @@ class Verdict:
     path_error_px: float = 0.0
     frames: int = 1
     scene: Scene = PHOTO
+    is_pair: bool = False
 
     @property
     def possible(self) -> tuple[Exposure, ...]:
@@ -204,9 +209,11 @@ def verdict(
     Parameters
     ----------
     problem : SearchProblem
-        Its objective does not matter: the error of the restored photo with its camera does.
+        Its objective does not matter: the error of the restored photo with its camera does. Of two
+        frames, two cameras that play a code and its complement are compared with two that stand
+        open and two that take the same snapshot.
     *codes : ShutterCode
-        Those of a single opening count as snapshots.
+        Those of a single opening count as snapshots, but for two cameras.
     rivals : sequence of ShutterCode
         Of one code: the best of all on photographs takes its place.
     path_error_px, photographs, announce
@@ -222,11 +229,17 @@ def verdict(
     """
     check_light(problem)
     check_codes(problem, codes)  # here, before seconds of work
-    finder = ExposureFinder(problem)
-    ordinary = finder.ordinary(problem.camera, every_length=path_error_px > 0)
-    (modelled,) = judged_exposures(
-        problem, [problem.camera], [*ordinary, *codes, *rivals], path_error_px=path_error_px
-    )
+    is_measurable = is_measured(problem, photographs)
+    if problem.frames == 2:
+        modelled = pair_exposures(problem, [*codes, *rivals])
+        if not is_measurable:
+            path_error_px = 0.0  # which the model of a pair does not count
+    else:
+        finder = ExposureFinder(problem)
+        ordinary = finder.ordinary(problem.camera, every_length=path_error_px > 0)
+        (modelled,) = judged_exposures(
+            problem, [problem.camera], [*ordinary, *codes, *rivals], path_error_px=path_error_px
+        )
     bits = {code.bits for code in (*codes, *rivals)}
 
     def competing(exposures: Sequence[Exposure]) -> list[Exposure]:
@@ -237,7 +250,7 @@ def verdict(
         ]
 
     compete = bool(rivals) and bool(competing(modelled))
-    if is_measured(problem, photographs):
+    if is_measurable and problem.frames == 1:  # the table behind it is of one camera
         announce(expectation(problem, verdict_of(problem, modelled, codes)))
     exposures = measured_exposures(
         problem,
@@ -270,7 +283,13 @@ def verdict_of(
     """Return the verdict of exposures that were judged already; see :func:`verdict`."""
     best_possible(exposures)  # refuses where there is none
     unnamed = Verdict(
-        problem.camera, exposures, "", path_error_px=path_error_px, scene=problem.scene
+        problem.camera,
+        exposures,
+        "",
+        path_error_px=path_error_px,
+        frames=problem.frames,
+        scene=problem.scene,
+        is_pair=problem.frames == 2,
     )
     # by their bits: the codes judged carry the problem's chip time, the given ones may not
     bits = {code.bits for code in codes}
@@ -282,7 +301,9 @@ def verdict_of(
     if not user_exposures:
         return unnamed
     name = "this code"
-    if len(codes) > 1:
+    if problem.frames == 2:
+        name = "this code and its complement"
+    elif len(codes) > 1:
         name = "the best of these codes"
     return replace(unnamed, code_name=name, user_code=best_possible(user_exposures))
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from cep.files.formatting import duration
 from cep.optics.code import ShutterCode
@@ -16,17 +16,43 @@ if TYPE_CHECKING:
 _Gain = tuple[str, str]  # verb, and what follows it
 
 
+class _Words(NamedTuple):
+    """What is done, and with what it is compared, with one camera or two."""
+
+    leave_open: str
+    expose: str
+    code: str
+    open_shutter: str
+    snapshot: str
+
+
+_SINGLE = _Words(
+    "Leave the shutter open",
+    "expose",
+    "Code this exposure",
+    "the open shutter",
+    "the best single exposure",
+)
+_PAIR = _Words(
+    "Leave both shutters open",
+    "expose both cameras",
+    "Play the code in one camera and its complement in the other",
+    "two open shutters",
+    "the best single exposure of both",
+)
+
+
 def recommendation(verdict: Verdict) -> str:
     """Say what to do and what it gains, without a full stop."""
     advised = verdict.advised
+    words = _PAIR if verdict.is_pair else _SINGLE
     if advised.kind == "open":
-        text = "Leave the shutter open: no shorter exposure and no code found gains"
-        return f"{text} {WORTH_DB:g} dB"
+        return f"{words.leave_open}: no shorter exposure and no code found gains {WORTH_DB:g} dB"
     gains = []
     if not verdict.open_saturates:  # a gain over what cannot be recorded says nothing
-        gains.append(_gain(verdict, verdict.exposures[0], "the open shutter"))
+        gains.append(_gain(verdict, verdict.exposures[0], words.open_shutter))
     if advised.kind == "snapshot":
-        text = f"Coding does not pay here: expose {_share(advised.code)}"
+        text = f"Coding does not pay here: {words.expose} {_share(advised.code)}"
         if not verdict.code_name:
             return f"{text}{_joined(', which ', gains)}; no code that was tried is better"
         if verdict.compared_code:
@@ -35,13 +61,13 @@ def recommendation(verdict: Verdict) -> str:
     user_code = verdict.user_code
     if user_code == advised:
         user_code = None  # the code to take is not compared with itself
-    action = "Code this exposure"
+    action = words.code
     if advised.kind == "strobe":
         action = f"Pulse the shutter evenly, {_pulses(advised.code)}"
     elif user_code:
         action += f" by {advised.code.bits}"
     if snapshot := verdict.best("snapshot"):
-        verb, over = _gain(verdict, snapshot, "the best single exposure", ranged=True)
+        verb, over = _gain(verdict, snapshot, words.snapshot, ranged=True)
         gains.append((verb, f"{over}, {_share(snapshot.code)}"))
     if user_code:
         gains.append(_gain(verdict, user_code, verdict.code_name))
@@ -75,7 +101,9 @@ def _light_and_noise(verdict: Verdict) -> str:
     """Light, noise and the error of the path, in words."""
     camera = verdict.camera
     light = f"at {camera.photons_full_scale:,.0f} photo-electrons at full scale"
-    if verdict.frames > 1:
+    if verdict.is_pair:
+        light += " in each of the two cameras"
+    elif verdict.frames > 1:
         light += f" in each of {verdict.frames} frames"
     noise = [f"{camera.read_noise_e:.3g} e- of read noise"]
     if camera.dark_current_e_s:

@@ -21,7 +21,7 @@ from cep.search.code_search import (
     search_code,
     searched_problem,
 )
-from cep.search.expected import equal_light_noise, light_noise
+from cep.search.expected import equal_light_noise, joint_psnr_db, light_noise
 from cep.search.exposures import (
     CODED,
     Choice,
@@ -37,7 +37,6 @@ from cep.search.problem import SearchProblem
 from cep.search.search_result import Stopped
 from cep.search.verdict import Verdict
 from lab.frames.annealing import FramesResult, anneal_frames, joint_figures
-from lab.frames.expected import joint_psnr_db
 from motdiff.files.outputs import new_files
 
 

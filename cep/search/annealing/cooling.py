@@ -45,8 +45,8 @@ class Chain(NamedTuple):
     otf : (frames, nb, 2, 64) float32
     cost, best_cost : (1,) float64, dB
         Of ``code`` and of ``best``.
-    deepest_power : (1,) float64
-        Smallest |P|^2 of ``deepest``, 0 before there is one.
+    deepest_term : (1,) float64
+        Smallest x of the terms of ``deepest``, 0 before there is one.
     random : (1,) uint64
         State of the random numbers, not 0.
     """
@@ -57,14 +57,15 @@ class Chain(NamedTuple):
     otf: NDArray[np.float32]
     cost: NDArray[np.float64]
     best_cost: NDArray[np.float64]
-    deepest_power: NDArray[np.float64]
+    deepest_term: NDArray[np.float64]
     random: NDArray[np.uint64]
 
 
 @compiled
 def fresh_otf(tables: Any, code: NDArray[np.int8], chips: int, otf: Floats) -> None:
     """Recompute a code's OTF: float32 sums drift."""
-    otf[:] = 0
+    for frame in range(otf.shape[0]):
+        otf[frame] = tables.start[0]
     variants = tables.rows.shape[1]
     for j in range(len(code)):
         if code[j]:
@@ -101,7 +102,7 @@ def worst_first(tables: Any, otf: Floats) -> None:
             else:
                 key[place] = -1 / (scale[0, block, 0, f] * power + offset[0, block, 0, f])
         order = np.argsort(key)
-        for table in (rows, otf, scale, offset):
+        for table in (rows, otf, scale, offset, tables.start):
             _reorder(table, first, order)
 
 
@@ -138,17 +139,17 @@ def total_cost(tables: Any, chips: int, code: NDArray[np.int8], otf: Floats) -> 
 
 
 @compiled
-def smallest_power(tables: Any, otf: Floats) -> float:
-    """Smallest |P|^2 of an OTF over all frequencies."""
+def smallest_term(tables: Any, otf: Floats) -> float:
+    """Smallest x of the first objective's terms, which is that of the smallest |P|."""
     lowest = np.float32(np.inf)
     for block in range(otf.shape[1]):
         for f in range(BLOCK):
             power = np.float32(0)
             for frame in range(otf.shape[0]):
                 power += otf[frame, block, 0, f] ** 2 + otf[frame, block, 1, f] ** 2
-            # again without the columns that only fill up a block
-            if tables.scale[0, block, 0, f] > 0 and power < lowest:
-                lowest = power
+            # columns that only fill up a block have a large offset
+            x = tables.scale[0, block, 0, f] * power + tables.offset[0, block, 0, f]
+            lowest = min(lowest, x)
     return float(lowest)
 
 
@@ -160,9 +161,9 @@ def note_best(tables: Any, chain: Any) -> None:
         chain.best[:] = chain.code
     if tables.kinds[0] == STEEP:
         # the sum leads, the plain minimum is what counts
-        lowest = smallest_power(tables, chain.otf)
-        if lowest > chain.deepest_power[0]:
-            chain.deepest_power[0] = lowest
+        lowest = smallest_term(tables, chain.otf)
+        if lowest > chain.deepest_term[0]:
+            chain.deepest_term[0] = lowest
             chain.deepest[:] = chain.code
 
 
@@ -176,7 +177,7 @@ def new_chain(tables: Tables, code: NDArray[np.int8], seed: int, *, frames: int 
         otf=otf,
         cost=np.array([np.inf]),
         best_cost=np.array([np.inf]),
-        deepest_power=np.zeros(1),
+        deepest_term=np.zeros(1),
         random=np.array([seed | 1], dtype=np.uint64),  # a shift register never leaves 0
     )
 
@@ -184,7 +185,10 @@ def new_chain(tables: Tables, code: NDArray[np.int8], seed: int, *, frames: int 
 def own_tables(tables: Tables) -> Tables:
     """Copy the tables that a chain sorts."""
     return tables._replace(
-        rows=tables.rows.copy(), scale=tables.scale.copy(), offset=tables.offset.copy()
+        rows=tables.rows.copy(),
+        scale=tables.scale.copy(),
+        offset=tables.offset.copy(),
+        start=tables.start.copy(),
     )
 
 
@@ -201,7 +205,7 @@ def refresh(tables: Tables, chain: Chain, chips: int) -> None:
 def best_codes(chain: Chain) -> NDArray[np.int8]:
     """Best codes (R, n) of a chain; the deepest counts for the smallest |H| alone."""
     codes = np.stack([chain.best, chain.deepest])
-    return codes[: 1 + (chain.deepest_power[0] > 0)]
+    return codes[: 1 + (chain.deepest_term[0] > 0)]
 
 
 def anneal_chain(
@@ -242,7 +246,7 @@ def anneal_chain(
         moves_made += count
         # of every slice: what is deepest on the search's samples need not be so in between
         deepest = [*deepest, best_codes(chain)][-_OFFERED:]
-        chain.deepest_power[0] = 0.0
+        chain.deepest_term[0] = 0.0
         yield count, np.concatenate([chain.best[None], *deepest])
 
 

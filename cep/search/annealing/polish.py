@@ -183,7 +183,11 @@ def _judges(code_cost: CodeCost) -> list[CodeCost]:
     ]
     edges = np.cumsum([0, *(columns.size for columns in columns_by_part)]).tolist()
     few = copy(code_cost)
-    few.rows = np.ascontiguousarray(code_cost.rows[..., np.concatenate(columns_by_part)])
+    columns = np.concatenate(columns_by_part)
+    few.rows = np.ascontiguousarray(code_cost.rows[..., columns])
+    few.floor = code_cost.floor[columns]
+    if code_cost.open_half is not None:
+        few.open_half = code_cost.open_half[:, columns]
     # a minimum takes nothing of a part but its columns
     few.parts = tuple(
         replace(motion, columns=slice(*bounds))

@@ -30,6 +30,8 @@ class LoopLimits(NamedTuple):
         Of every frame; ``chips`` where there is no maximum.
     constrained : bool
         Whether any of these five is a limit.
+    with_complement : bool
+        Whether they are limits of the complement too.
     """
 
     chips: int
@@ -41,11 +43,12 @@ class LoopLimits(NamedTuple):
     max_open: int
     min_period: int
     constrained: bool
+    with_complement: bool
 
     @classmethod
     def of(cls, problem: SearchProblem) -> LoopLimits:
         """Limits of a problem on light, runs and pulses."""
-        runs = problem.runs
+        runs = problem.limits.runs
         chips = problem.chips
         return cls(
             chips,
@@ -56,6 +59,7 @@ class LoopLimits(NamedTuple):
             runs.max_open or chips,
             runs.min_period,
             problem.limits_runs,
+            problem.limits.with_complement,
         )
 
 
@@ -145,19 +149,27 @@ def draw_blocks(
 
 @compiled
 def keeps_runs(code: Codes, limits: Any) -> bool:
-    """Whether every frame keeps the limits on runs and pulses."""
+    """Whether every frame, and its complement where it must, keeps the limits on runs."""
+    if limits.with_complement and not _pulses_keep(code, np.int8(0), limits):
+        return False
+    return _pulses_keep(code, np.int8(1), limits)
+
+
+@inlined
+def _pulses_keep(code: Codes, opened: np.int8, limits: Any) -> bool:
+    """Whether the runs of one value, as pulses of a shutter, keep the limits in every frame."""
     # the shutter rests closed: the closed chips before and after the pulses are no run
     chips = limits.chips
     for start in range(0, code.size, chips):
         run = 0
         pulses = 0
-        value = 0
+        value = 1 - opened
         pulse_start = 0
         for j in range(start, start + chips):
             if code[j] == value:
                 run += 1
                 continue
-            if value == 1:
+            if value == opened:
                 if run < limits.min_open or run > limits.max_open:
                     return False
             else:
@@ -167,7 +179,7 @@ def keeps_runs(code: Codes, limits: Any) -> bool:
                 pulse_start = j
             value = code[j]
             run = 1
-        if value == 1 and (run < limits.min_open or run > limits.max_open):
+        if value == opened and (run < limits.min_open or run > limits.max_open):
             return False
         if pulses > limits.max_pulses:
             return False

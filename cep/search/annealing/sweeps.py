@@ -58,6 +58,8 @@ def can_sweep(problem: SearchProblem) -> bool:
     """Whether sweeps search a problem: the smallest |H| of few chips, one way along a line."""
     if problem.chips > _MOST_CHIPS or problem.limits_runs or problem.response is not None:
         return False
+    if problem.frames == 2:  # its dips are not those of |P|
+        return False
     if [name for name, _ in problem.objective_mix] != ["min-mtf"]:
         return False
     if len(problem.directed_paths()) > 1:

@@ -38,7 +38,10 @@ class Tables(NamedTuple):
         First block, one past the last, and scenario of each part: a scenario in one direction.
     kinds, weights : (objectives,) int64, float64
     scale, offset : (objectives, nb, Q, 64) float32
-        The terms' x is ``light scale |P|^2 + offset``, of which Q belong to each frequency.
+        The terms' x is ``light scale |P|^2 + offset``, of which Q belong to each frequency. The
+        flatness sums ``scale (|P|^2 + offset)`` and its root.
+    start : (1, nb, 2, 64) float32
+        OTF without an open chip: 0, or minus half of the open shutter's of two cameras.
     light : (objectives, chips + 1) float32
         Factor of |P|^2 by number of open chips.
     shares : (scenarios,) float64
@@ -52,6 +55,7 @@ class Tables(NamedTuple):
     weights: NDArray[np.float64]
     scale: Floats
     offset: Floats
+    start: Floats
     light: Floats
     shares: NDArray[np.float64]
     mean_rule: bool
@@ -188,8 +192,9 @@ def sums_over(
                             )
                 else:  # flatness: mean and mean square of |P|, whose difference is the variance
                     for f in range(BLOCK):
-                        total += scale[o, block, 0, f] * work[2, f]
-                        mean += scale[o, block, 0, f] * np.sqrt(work[2, f])
+                        power = work[2, f] + offset[o, block, 0, f]
+                        total += scale[o, block, 0, f] * power
+                        mean += scale[o, block, 0, f] * np.sqrt(power)
                 sums[o, band, 0] += total
                 sums[o, band, 1] += mean
             if sums[0, band, 0] > limit:
@@ -334,8 +339,19 @@ def lay_out(code_cost: CodeCost) -> Tables:
         scale[o, : len(factors), samples] = factors.T
         offset[o, : len(factors), samples] = offsets.T
     counts = np.arange(chips + 1.0)
+    if problem.frames == 2:  # both cameras' mean
+        counts = np.full(chips + 1, chips / 2)
     light = np.array([criterion.light(counts, code_cost.noise) for criterion, _ in mix])
     kinds = [criterion.kind for criterion, _ in mix]
+    start = np.zeros((2, places.size))
+    if code_cost.open_half is not None:
+        start[:, samples] = -chips * code_cost.open_half[:, places[samples]]
+    floor = (start**2).sum(axis=0)[samples]
+    for o, kind in enumerate(kinds):
+        if kind == FLATNESS:
+            offset[o][:, samples] += floor
+        else:
+            offset[o][:, samples] += light[o, 1] * scale[o][:, samples] * floor
     rows = (chips * code_cost.rows)[..., np.where(filling, 0, places)]
     rows[..., filling] = 0
     packed = rows.reshape(*rows.shape[:3], -1, BLOCK).transpose(0, 1, 3, 2, 4)
@@ -346,6 +362,7 @@ def lay_out(code_cost: CodeCost) -> Tables:
         weights=np.array([weight for _, weight in mix]),
         scale=_contiguous(scale.reshape(len(mix), across, -1, BLOCK).transpose(0, 2, 1, 3)),
         offset=_contiguous(offset.reshape(len(mix), across, -1, BLOCK).transpose(0, 2, 1, 3)),
+        start=_contiguous(start.reshape(1, 2, -1, BLOCK).transpose(0, 2, 1, 3)),
         light=_contiguous(light),
         shares=code_cost.scenario_shares,
         mean_rule=problem.rule == "mean",

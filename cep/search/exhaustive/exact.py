@@ -204,6 +204,8 @@ def exact(
         For another objective, too many chips, or a motion that no code can serve.
     """
     start_s = time.monotonic()
+    if problem.frames == 2:
+        raise ValueError("frames: not valid with method='exact', which counts codes of one camera")
     if [name for name, _ in problem.objective_mix] != ["min-mtf"] or problem.rule != "worst":
         raise ValueError(
             'objective: only the largest "min-mtf" in the worst scenario can be proven'

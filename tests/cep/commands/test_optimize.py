@@ -374,7 +374,6 @@ def test_a_full_disk_loses_no_code_and_names_the_file(cep, lab, workplace, monke
     ("option", "place"),
     [
         ("--class", "python -m lab design-class"),
-        ("--frames=2", "python -m lab frames"),
         ("--chip-ns", "is --exposure"),
         ("--workers", "python -m lab prove"),
     ],
@@ -383,6 +382,46 @@ def test_an_option_that_went_says_where(cep, workplace, option, place):
     line = cep.refuses("optimize", "--linear", "9", option, "5")
     assert line.startswith(f"cep: {option.partition('=')[0]} ")
     assert place in line
+
+
+def test_a_pair_of_cameras_from_the_search_to_both_codes(cep, workplace):
+    asked = ("optimize", "--linear", "14", "--chips", "10", "--frames", "2", "--scene", "text")
+    # a scene of no photographs: the gains are a model's, and it says so
+    best = cep.succeeds(*asked, "--steps", "3000", "--read-noise", "50", "-o", "pair.json")
+    code = ShutterCode(best["bits"])
+    assert best["complement"] == code.complement().bits
+    assert (best["certificate"], best["bound"], best["proven"]) == (None, None, False)
+    assert "model of text" in best["verdict"]
+    assert {"two open shutters", "two best single exposures"} < set(best["baselines"])
+    stored = read_code("pair.json")
+    assert stored.problem["frames"] == 2
+    assert stored.problem["pair"]["mse_db"] == pytest.approx(best["mse_db"])
+    page = " ".join(cep(*asked, "--steps", "3000", "--force", "-o", "pair.json").out.split())
+    assert "cep deblur a.png b.png --code pair.json --code complement:pair.json" in page
+    assert "certified" not in page
+    assert "no code with so many" not in page
+    for name in ("pair.json", "complement:pair.json"):
+        cep.succeeds("export", name, "--format", "json")
+    cep.succeeds("audit", "pair.json")
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (("--frames", "3"), "cep: --frames: must be 1, or 2 for .* python -m lab frames"),
+        (("--frames", "0"), "cep: --frames: must be 1, or 2"),
+        (("--frames", "2", "--method", "exact"), "cep: --frames: not valid with --method exact"),
+        (("--frames", "2", "--open", "2:3"), "cep: --open and --frames: conflict: "),
+        (
+            ("--frames", "2", "--device", "mechanical"),
+            "cep: ",
+        ),
+    ],
+)
+def test_a_pair_that_cannot_be_is_refused_in_a_line(cep, workplace, options, line):
+    asked = ("optimize", "--linear", "9", "--chips", "9", "-o", "pair.json")
+    assert re.match(line, cep.refuses(*asked, *options))
+    assert not Path("pair.json").exists()
 
 
 def test_it_has_at_most_24_options():

@@ -50,6 +50,14 @@ def test_blur_costs_what_the_blurred_scene_differs_by():
     assert level == pytest.approx(-10 * np.log10(by_hand), abs=1.0)
 
 
+def test_two_photos_at_the_same_time_tell_more_than_one():
+    camera = Camera(photons_full_scale=300, read_noise_e=5)
+    halves = ShutterCode("1100"), ShutterCode("0011")
+    path = Trajectory.straight(6.0, direction="known")
+    alone, together = trial(path, 1, camera=camera).psnr_db([halves[0], halves])
+    assert together[0] > alone[0]
+
+
 def test_the_noise_is_the_same_for_every_code_and_of_the_seed():
     camera = Camera(photons_full_scale=300, read_noise_e=5)
     codes = ShutterCode("1010"), ShutterCode("1010")

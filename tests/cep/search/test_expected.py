@@ -15,10 +15,11 @@ from cep.search.cost import CodeCost
 from cep.search.expected import (
     ExpectedPsnr,
     equal_light_noise,
+    joint_psnr_db,
     light_noise,
 )
 from cep.search.problem import SearchProblem
-from motdiff.motions import with_smooth_error
+from motdiff.motions import boracchi_foi, with_smooth_error
 from motdiff.trajectory import Trajectory
 
 BENT = Trajectory.from_samples([[0, 0], [6, 1], [9, 5], [10, 11]])
@@ -173,3 +174,29 @@ def test_a_wrong_error_is_refused(error_px):
         )
     with pytest.raises(ValueError, match="need a motion"):
         expected_psnr_db(SearchProblem(chips=9), CODES, noise=[light_noise(CAMERA, CODES)])
+
+
+def test_frames_through_one_code_divide_its_noise_and_through_others_fill_its_zeros():
+    straight = SearchProblem.along(Trajectory.straight(12.0), chips=12, camera=CAMERA)
+    codes = [ShutterCode("111100000000"), ShutterCode("110100011101")]
+    noise = np.array([light_noise(CAMERA, codes)])
+    single = ExpectedPsnr(straight).psnr_db(codes, noise=noise)[:, 0]
+    twice = ExpectedPsnr(straight).psnr_db(codes, noise=noise / 2)[:, 0]
+    same = [
+        joint_psnr_db(straight, [code] * 2, noise=noise[:, [i, i]])[0]
+        for i, code in enumerate(codes)
+    ]
+    assert same == pytest.approx(twice)
+    assert joint_psnr_db(straight, codes, noise=noise)[0] > single.max()
+
+
+def test_frames_along_an_unknown_direction_are_as_good_as_along_the_worse_one():
+    path = boracchi_foi(np.random.default_rng(4), max_length_px=20, samples=60)
+    codes = [ShutterCode("110100000"), ShutterCode("000010111")]
+    noise = np.array([light_noise(CAMERA, codes), light_noise(CAMERA, codes) * 4])
+    ways = [replace(one, direction="known") for one in (path, path.reversed())]
+    both, *each = (
+        joint_psnr_db(SearchProblem.along(one, chips=9, camera=CAMERA), codes, noise=noise)
+        for one in (replace(path, direction="unknown"), *ways)
+    )
+    assert both == pytest.approx(np.minimum(*each))
