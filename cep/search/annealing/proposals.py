@@ -156,20 +156,20 @@ def keeps_runs(code: Codes, limits: Any) -> bool:
 
 
 @inlined
-def _pulses_keep(code: Codes, opened: np.int8, limits: Any) -> bool:
+def _pulses_keep(code: Codes, pulse_value: np.int8, limits: Any) -> bool:
     """Whether the runs of one value, as pulses of a shutter, keep the limits in every frame."""
     # the shutter rests closed: the closed chips before and after the pulses are no run
     chips = limits.chips
     for start in range(0, code.size, chips):
         run = 0
         pulses = 0
-        value = 1 - opened
+        value = 1 - pulse_value
         pulse_start = 0
         for j in range(start, start + chips):
             if code[j] == value:
                 run += 1
                 continue
-            if value == opened:
+            if value == pulse_value:
                 if run < limits.min_open or run > limits.max_open:
                     return False
             else:
@@ -179,7 +179,7 @@ def _pulses_keep(code: Codes, opened: np.int8, limits: Any) -> bool:
                 pulse_start = j
             value = code[j]
             run = 1
-        if value == opened and (run < limits.min_open or run > limits.max_open):
+        if value == pulse_value and (run < limits.min_open or run > limits.max_open):
             return False
         if pulses > limits.max_pulses:
             return False
