@@ -15,6 +15,8 @@ from motdiff.files.plugins import is_reference, load_object
 COMPLEMENT = "complement:"
 """Before a code: the one that is open where that is closed, for a second shutter."""
 
+_SHARED = ("device", "camera", "scene")
+
 
 def load_code(source: str, *, chip_ns: int | None = None) -> ShutterCode:
     """Return a code by its bits, file or name: :func:`find_code` without what the file says of it.
@@ -79,8 +81,10 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
         If the file cannot be read.
     """
     if source.startswith(COMPLEMENT):
-        code = load_code(source.removeprefix(COMPLEMENT), chip_ns=chip_ns)
-        return StoredCode(code.complement())
+        stored = find_code(source.removeprefix(COMPLEMENT), chip_ns=chip_ns)
+        # its shutter, camera and scene are those of the first
+        about = {name: stored.problem[name] for name in _SHARED if name in stored.problem}
+        return StoredCode(stored.code.complement(), problem=about)
     file = code_file(source)
     # in this order: a file may be named as a code is, and bits are never looked up as a name
     if file is not None:

@@ -183,7 +183,7 @@ def optimize(options: OptimizeOptions) -> None:
             "warnings": best.warnings,
             "seed": options.seed,
         },
-        _page(best, options.output),
+        _page(best, options.output, options.trajectory),
         as_json=options.as_json,
         outputs=outputs,
         save=lambda staged: best.save(staged[options.output], source=source),
@@ -191,7 +191,7 @@ def optimize(options: OptimizeOptions) -> None:
     )
 
 
-def _page(best: OptimizedCode, file: Path) -> Page:
+def _page(best: OptimizedCode, file: Path, trajectory: Path | None) -> Page:
     """Lay a search and its comparison out for people."""
     from cep.files.formatting import duration, number
     from cep.search.chip_count import in_words_of_chips
@@ -224,8 +224,9 @@ def _page(best: OptimizedCode, file: Path) -> Page:
     yield Table("compared on this motion (worse direction where unknown)", columns, rows)
     if best.complement:
         yield "both cameras, restored together; min MTF: root of the mean of both |H|^2, sampled"
-        yield f"one camera: cep export {file}, the other: cep export complement:{file}"
-        yield f"photos: cep deblur a.png b.png --code {file} --code complement:{file}"
+        yield f"one camera: cep export {file} -f FORMAT; the other: complement:{file}"
+        along = f" --trajectory {trajectory}" if trajectory else ""
+        yield f"photos: cep deblur a.png b.png --code {file} --code complement:{file}{along}"
     if best.certificate:
         yield (
             f"certified: min {modulus} lies within "

@@ -397,8 +397,8 @@ class SearchProblem:
         if fewest_open > most_open:
             low = max(low, self.runs.min_open)
             raise ValueError(
-                f"open_range and frames: conflict: with {low} to {high} of {self.chips} chips"
-                f" open in one camera, {self.chips - high} to {self.chips - low} are in the"
+                f"open_range, min_open and frames: conflict: with {low} to {high} of {self.chips}"
+                f" chips open in one camera, {self.chips - high} to {self.chips - low} are in the"
                 f" other; a range around {self.chips / 2:g} suits both"
             )
 

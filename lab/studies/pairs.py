@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cep.codes.sources import load_code
+from cep.codes.sources import code_file, load_code
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
@@ -156,6 +156,8 @@ def main() -> None:
     shared = {
         name: getattr(options, name) for name in ("code", "photons", "read_noise", "seed")
     } | {"photos": options.photos, "gyro": options.gyro}
+    if code_file(options.code) is not None:
+        shared["code"] = load_code(options.code).bits  # another code may lie in the file later
     finished = finished_cases(options.results)
     rows = []
     for index in range(options.count):

@@ -411,7 +411,7 @@ def test_a_pair_of_cameras_from_the_search_to_both_codes(cep, workplace):
         (("--frames", "3"), "cep: --frames: must be 1, or 2 for .* python -m lab frames"),
         (("--frames", "0"), "cep: --frames: must be 1, or 2"),
         (("--frames", "2", "--method", "exact"), "cep: --frames: not valid with --method exact"),
-        (("--frames", "2", "--open", "2:3"), "cep: --open and --frames: conflict: "),
+        (("--frames", "2", "--open", "2:3"), "cep: --open, --min-open and --frames: conflict: "),
         (
             ("--frames", "2", "--device", "mechanical"),
             "cep: ",

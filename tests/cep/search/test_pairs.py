@@ -135,7 +135,7 @@ def test_a_search_within_limits_returns_a_code_whose_complement_keeps_them():
     [
         ({"frames": 3}, "frames: must be 1, or 2"),
         ({"frames": 0}, "frames: must be 1, or 2"),
-        ({"open_range": (2, 4)}, "open_range and frames: conflict"),
+        ({"open_range": (2, 4)}, "open_range, min_open and frames: conflict"),
         ({"runs": RunLimits(max_open=2, min_closed=3)}, "frames|conflict"),
     ],
 )
