@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from cep.commands.code_options import (
     CODE,
     SEARCH,
+    STANDARD_CHIPS,
     CodeOptions,
     SearchRunOptions,
     chips_option,
@@ -35,7 +36,7 @@ class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOption
 
     chips: int | None = chips_option(
         "Number of chips; when omitted as many as pay where mse is searched for one camera, else"
-        " 52.",
+        " 52, of two cameras no more than the motion tells apart.",
         fewest=1,
     )
     frames: int = option(
@@ -79,6 +80,7 @@ class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOption
         self, stored: StoredMotion, motions: tuple[Scenario, ...]
     ) -> SearchProblem | Callable[[int], SearchProblem]:
         """Return the problem along a motion, or what makes it of a number of chips still open."""
+        from cep.optics.path_limits import resolved_chips
         from cep.optics.straight_motion import uniform_length_px
         from cep.search.chip_count import ASSUMED_EXPOSURE_S
 
@@ -86,8 +88,12 @@ class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOption
         objective = objective_mix(self.objective or "mse")
         if self.objective is None and exact and uniform_length_px(stored.trajectory) is not None:
             objective = "min-mtf"  # a proof is for the minimum of a code's polynomial
-        if self.chips is not None or exact or objective != "mse" or self.frames != 1:
-            return self.problem(*motions, objective=objective, frames=self.frames)
+        if self.frames != 1:
+            most_chips = max(2, resolved_chips(stored.trajectory))
+            chips = self.chips or min(STANDARD_CHIPS, most_chips)
+            return self.problem(*motions, chips=chips, objective=objective, frames=self.frames)
+        if self.chips is not None or exact or objective != "mse":
+            return self.problem(*motions, objective=objective)
         return lambda chips: self.problem(
             *motions, chips=chips, exposure_s=ASSUMED_EXPOSURE_S, objective=objective
         )

@@ -51,6 +51,11 @@ def check_frame(trajectory: Trajectory) -> None:
         )
 
 
+def resolved_chips(trajectory: Trajectory) -> int:
+    """Most chips that a path can tell apart, at :data:`FINEST_CHIP_PX` each; at least 1."""
+    return max(1, int(trajectory.length_px / FINEST_CHIP_PX))
+
+
 def check_resolved(trajectory: Trajectory, chips: int) -> None:
     """Refuse a code with more chips than the path can tell apart.
 
@@ -65,7 +70,7 @@ def check_resolved(trajectory: Trajectory, chips: int) -> None:
             f"trajectory: the path stays in place, a code of {chips} chips needs a motion of at"
             f" least {chips * FINEST_CHIP_PX:g} px ({FINEST_CHIP_PX} px each)"
         )
-    resolved = max(1, int(trajectory.length_px / FINEST_CHIP_PX))
+    resolved = resolved_chips(trajectory)
     if chips > resolved:
         raise ValueError(
             f"chips: {chips} chips are too many for a path of {trajectory.length_px:.1f} px, "

@@ -25,7 +25,6 @@ from cep.search.code_search import SearchOptions, search_code
 from cep.search.exposures import pair_exposures
 from cep.search.pairs import measure_pairs
 from cep.search.problem import SearchProblem
-from lab.bench.statistics import mean_interval
 from lab.studies.inputs import study_parser
 from lab.studies.order import MOTIONS, Case, motion_of
 from motdiff.trajectory import Trajectory
@@ -104,17 +103,13 @@ def main() -> None:
             for name, pair in figures.items():
                 difference = (pair[0] - figures[RASKAR][0], pair[1] - figures[RASKAR][1])
                 gains.setdefault(name, []).append(difference)
-        rng = np.random.default_rng(0)
-        print(f"\n{motions}, less Raskar's code and complement: model, photographs")
+        print(f"\n{motions}, less Raskar's code and complement: model, photographs; of how many")
         for name, differences in gains.items():
-            means = []
-            for values in zip(*differences, strict=True):
-                spread = ""
-                if len(values) > 2:
-                    interval = mean_interval(list(values), rng=rng)
-                    spread = f" ({interval.low:+.2f}..{interval.high:+.2f})"
-                means.append(f"{np.mean(values):+.2f}{spread}")
-            print(f"  {name:<18}{'  '.join(means)}")
+            means = [
+                f"{np.mean(values):+.2f} ({min(values):+.2f}..{max(values):+.2f})"
+                for values in zip(*differences, strict=True)
+            ]
+            print(f"  {name:<18}{'  '.join(means)}  {len(differences)}")
 
 
 if __name__ == "__main__":
