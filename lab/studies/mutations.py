@@ -49,7 +49,7 @@ EXCHANGED = {
     "**": "*",
 }
 _OPERATOR = re.compile(r"<<|>>|not\s+in|is\s+not|\b(?:is|in|and|or)\b|[<>=!]=|//|\*\*|[-+*/<>]")
-_LONGEST_S = 1800.0  # a mutation that never ends is noticed
+_LONGEST_S = 3600.0  # a mutation that never ends is noticed
 
 
 @dataclass(frozen=True)
@@ -222,6 +222,8 @@ def main() -> None:
         failed = (
             workplace.failing(doubtful, ["tests"], workers=options.workers) if doubtful else []
         )
+        if {"timeout", "interrupted"} & set(failed):
+            raise SystemExit("error: the whole suite did not come to its end: fewer at once")
         by_fault = [name for name in failed if not workplace.failing([], [name])]
         for mutation in doubtful:
             own_failed = workplace.failing([mutation], by_fault, first=True) if by_fault else []
