@@ -26,34 +26,13 @@ from cep.search.exposures import pair_exposures
 from cep.search.pairs import measure_pairs
 from cep.search.problem import SearchProblem
 from lab.studies.inputs import study_parser
-from lab.studies.order import MOTIONS, Case, motion_of
+from lab.studies.order import MOTIONS
+from lab.studies.pairs import drawn_motion
 from motdiff.trajectory import Trajectory
 
 CHIPS = 52
 RASKAR = "Raskar's code"
 DESIGNED = "designed"
-
-
-def motion(motions: str, index: int, options: argparse.Namespace) -> Trajectory:
-    """Motion as of lab.studies.pairs."""
-    case = Case(
-        set="",
-        codes=(),
-        motions=motions,
-        index=index,
-        noise=0,
-        moved_px=0,
-        brightness=0,
-        scaled=0,
-        wobble_px=0,
-        side_px=256,
-        seed=options.seed,
-        photos="",
-        gyro=options.gyro,
-        light=False,
-    )
-    path = motion_of(case, np.random.default_rng([options.seed, MOTIONS.index(motions), index]))
-    return Trajectory(path.t, path.xy, direction="known")
 
 
 def problem_along(path: Trajectory, options: argparse.Namespace) -> SearchProblem:
@@ -78,7 +57,8 @@ def main() -> None:
         gains: dict[str, list[tuple[float, float]]] = {}
         before: ShutterCode | None = None
         for index in range(options.count):
-            problem = problem_along(motion(motions, index, options), options)
+            _, path, _ = drawn_motion(motions, index, seed=options.seed, gyro=options.gyro)
+            problem = problem_along(path, options)
             design = search_code(problem, how).code
             alike = [e for e in pair_exposures(problem, ()) if e.kind in ("open", "snapshot")]
             snapshot = max(alike[1:], key=lambda exposure: exposure.psnr_db).code

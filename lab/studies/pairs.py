@@ -54,12 +54,13 @@ def snapshot(chips: int, share: float) -> ShutterCode:
     return ShutterCode("0" * before + "1" * count + "0" * (chips - before - count))
 
 
-def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, object]:
-    """PSNR of each row, and of the pairs the error, stated probability and seconds."""
-    code = load_code(options.code)
+def drawn_motion(
+    motions: str, index: int, *, seed: int, gyro: str, photos: str = ""
+) -> tuple[Case, Trajectory, np.random.Generator]:
+    """Case of a motion, its path, and the generator of what is drawn after it."""
     case = Case(
         set="",
-        codes=(code.bits,),
+        codes=(),
         motions=motions,
         index=index,
         noise=0,
@@ -68,14 +69,22 @@ def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, 
         scaled=0,
         wobble_px=0,
         side_px=SIDE_PX,
-        seed=options.seed,
-        photos=options.photos,
-        gyro=options.gyro,
+        seed=seed,
+        photos=photos,
+        gyro=gyro,
         light=False,
     )
-    rng = np.random.default_rng([options.seed, MOTIONS.index(motions), index])
-    random_path = motion_of(case, rng)
-    path = Trajectory(random_path.t, random_path.xy, direction="known")
+    rng = np.random.default_rng([seed, MOTIONS.index(motions), index])
+    path = motion_of(case, rng)
+    return case, Trajectory(path.t, path.xy, direction="known"), rng
+
+
+def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, object]:
+    """PSNR of each row, and of the pairs the error, stated probability and seconds."""
+    code = load_code(options.code)
+    case, path, rng = drawn_motion(
+        motions, index, seed=options.seed, gyro=options.gyro, photos=options.photos
+    )
     frame = path.frame_size() | 1
     margin = (2 * SIDE_PX - (SIDE_PX + frame - 1)) // 2
     scene = scene_of(case, rng)[margin:, margin:][: SIDE_PX + frame - 1, : SIDE_PX + frame - 1]

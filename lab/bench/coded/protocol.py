@@ -81,7 +81,7 @@ class CodedProtocol:
         user's own that takes (photo, psf).
     border_rounds : int
         Rounds in which the restoration extends the photo beyond its borders. A blur of 60 px needs
-        dozens. Only a restoration that takes ``border_rounds`` is told.
+        dozens. Passed to restorations that have this parameter.
     restored_by : {"psf", "path", "estimate", "blind"}
         Input of the restoration: the true coded PSF; the true path, of unknown direction; the path
         that the code was designed for, tried in both directions; or the kernel that PMP finds in
