@@ -210,7 +210,16 @@ def _order_in_time(
     """Path in the order in time that leaves least between the photos, and how it was run."""
     paths = orders_in_time(trajectory)
     crops = [centre_crop(luminance(photo), LARGEST_CROP_PX, LARGEST_CROP_PX) for photo in photos]
-    misfits = [registered_psfs(crops, path, codes)[1] for path in paths]
+    misfits = []
+    refusals = []
+    for path in paths:
+        try:
+            misfits.append(registered_psfs(crops, path, codes)[1])
+        except ValueError as error:  # a wrong order may lay the photos far from each other
+            misfits.append(np.inf)
+            refusals.append(error)
+    if len(refusals) == len(paths):
+        raise refusals[0]
     best, second = np.argsort(misfits)[:2]
     if misfits[second] < _ALIKE * misfits[best]:
         return paths[best], "undecidable"

@@ -28,9 +28,11 @@ _FIT_SHARE = 0.8  # the search of the path
 # (docs/decisions/motion-estimation.md): of one photo; of more, where two searches ended at it and
 # where one did, each by how much dearer the next path is: above the one limit, above the other, or
 # below both
+LARGEST_PROBABILITY = 0.97
+"""More is never stated of an order in time."""
 _ONE_PHOTO = 0.05
 _DEARER = (75.0, CLEARLY_DEARER)
-_SHARES_AGREED = (0.97, 0.85, 0.7)
+_SHARES_AGREED = (LARGEST_PROBABILITY, 0.85, 0.7)
 _SHARES_ALONE = (0.8, 0.4, 0.4)
 _ERROR_RATIO = 2.8  # of true to computed error
 # photos of one scene that did not fit together had a wrong kernel: 0 of 7 were right
@@ -96,8 +98,8 @@ class CodedEstimator:
         Parameters
         ----------
         photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
-            Of one size where they show one scene; shifts of a few px and other brightness do not
-            matter.
+            Of one size where they show one scene; shifts, up to a quarter of it, and other
+            brightness do not matter.
 
         Returns
         -------

@@ -25,6 +25,7 @@ _SAME_SCENE = 0.8  # correlation of two photos beyond their blur
 _BLUR_PX = 12.0  # sigma: beyond it, blurs of the usual length hardly show
 _TRUSTED = 0.5  # confidence in a kernel
 _LEAST_TRUST = 0.15  # confidence: no kernel is left out altogether
+_FARTHEST = 4  # photos of one scene are shifted by less than such a part of their size
 _LEAST_INSIDE_PX = 64  # of a photo without its borders
 
 
@@ -115,6 +116,10 @@ def exposures_of(
                 f"photo {i}: has {w} x {h} px, the first one {w0} x {h0}; give photos of one size"
             )
     is_one_scene = len(greys) > 1 and _are_one_scene(greys)
+    if len(greys) > 1 and not is_one_scene:  # they may be shifted by more than a few px
+        aligned = _aligned(greys)
+        is_one_scene = min(aligned[0].shape) >= LEAST_PX and _are_one_scene(aligned)
+        greys = aligned if is_one_scene else greys
     is_joint = is_one_scene and kernels is None
     # beside the joint search these tell the blur's extent, and whether the camera was at rest
     open_photos = [i for i, code in enumerate(codes) if "0" not in code]
@@ -183,10 +188,28 @@ def _shrunk(estimate: MotionEstimate) -> int:
 
 def _are_one_scene(photos: Sequence[FloatArray]) -> bool:
     """Whether all photos show the scene of the first, by details coarser than their blur."""
-    coarse = [
-        ndimage.gaussian_filter(photo, _BLUR_PX) - ndimage.gaussian_filter(photo, 4 * _BLUR_PX)
-        for photo in photos
+    coarse = [_coarse(photo).ravel() for photo in photos]
+    return all(np.corrcoef(coarse[0], values)[0, 1] > _SAME_SCENE for values in coarse[1:])
+
+
+def _aligned(photos: Sequence[FloatArray]) -> list[FloatArray]:
+    """Part of each photo (h, w) that all show, where their coarse details lie on each other."""
+    coarse = [_coarse(photo).astype(np.float32) for photo in photos]
+    size = np.array(coarse[0].shape)
+    margin = size // _FARTHEST
+    shifts = [margin * 0]
+    for image in coarse[1:]:  # the middle of each is found in the first
+        rows, columns = (slice(m, n - m) for m, n in zip(margin, size, strict=True))
+        match = cv2.matchTemplate(coarse[0], image[rows, columns], cv2.TM_CCOEFF_NORMED)
+        shifts.append(margin - np.unravel_index(match.argmax(), match.shape))
+    starts = np.array(shifts) - np.min(shifts, axis=0)
+    height, width = size - starts.max(axis=0)
+    return [
+        photo[row : row + height, column : column + width]
+        for photo, (row, column) in zip(photos, starts, strict=True)
     ]
-    return all(
-        np.corrcoef(coarse[0].ravel(), photo.ravel())[0, 1] > _SAME_SCENE for photo in coarse[1:]
-    )
+
+
+def _coarse(photo: FloatArray) -> FloatArray:
+    blurred = ndimage.gaussian_filter(photo, _BLUR_PX)
+    return np.asarray(blurred - ndimage.gaussian_filter(photo, 4 * _BLUR_PX))

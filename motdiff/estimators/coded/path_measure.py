@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from motdiff.types import FloatArray
 _BLUR_PX = 0.7  # the path moves on whole pixels, kernels estimated apart do not match to one
 _FAINT = 0.03  # of the peak: where the path may be, and a pixel around it
 _LONGEST_STEP_PX = 3
-_OPEN_STEPS = 52  # of a path that every code leaves open throughout
+_LEAST_STEPS = 52  # of a path; each chip has a whole number of them
 # of a step against the one before; a few turn sharply
 _TURN_PX = 0.9
 _SHARP_TURN_PX = 2.0
@@ -66,8 +67,8 @@ class PathMeasure:
         self._points = np.stack([columns, rows], axis=1) - float(len(self._support) // 2)
         self._before, self._after = _neighbours(self._support)
         self._turns = _turns()
-        lengths = [len(code) for code in codes if "0" in code]
-        bits = open_at(codes, middles(max(lengths, default=_OPEN_STEPS)))
+        chips = max((len(code) for code in codes if "0" in code), default=_LEAST_STEPS)
+        bits = open_at(codes, middles(chips * ceil(_LEAST_STEPS / chips)))
         light = lights[:, self._support] / lights[0, self._support].sum()
         self._centroid = light[0] @ self._points
         self._times, self._targets = _told(bits, light)

@@ -152,6 +152,19 @@ def test_of_a_path_without_direction_the_photos_tell_it():
     assert restored.trajectory.direction == "known"
 
 
+def test_an_order_that_lays_the_photos_far_apart_is_only_wrong():
+    """Of the reverse a long motion's halves lie its own length from where they are."""
+    path = Trajectory.straight(48.0)
+    halves = ShutterCode("1" * 8 + "0" * 8)
+    codes = (halves, halves.complement())
+    photos = photos_of(blocks(246), path, codes)
+    unknown = Trajectory(path.t, path.xy, direction="unknown")
+    with pytest.raises(ValueError, match="photo 2"):
+        registered_psfs(photos, path.reversed(), codes)
+    restored = restore_together(photos, codes, unknown, cameras=CAMERAS)
+    assert restored.direction == "forward"
+
+
 def test_photos_that_do_not_belong_together_are_noticed():
     path = hook()
     photos = photos_of(blocks(), path, PAIR)

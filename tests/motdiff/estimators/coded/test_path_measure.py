@@ -62,6 +62,17 @@ def test_an_open_photo_leaves_both_directions_and_a_coded_one_does_not():
     assert ahead_coded.mean() > 0.95
 
 
+@pytest.mark.parametrize("chips", [4, 8, 20])
+def test_few_chips_draw_paths_as_long(chips):
+    """A step is a share of a chip that is short enough for the path."""
+    codes = ("1" * chips, "1" * (chips // 2) + "0" * (chips - chips // 2))
+    draws = PathMeasure(kernels_of(BENT, codes), codes).draw(
+        20, knots=KNOTS, rng=np.random.default_rng(5)
+    )
+    assert np.median(np.ptp(draws, axis=1)[:, 0]) > 0.65 * np.ptp(BENT.xy[:, 0])
+    assert np.median(distances(draws, BENT)) < 5
+
+
 def test_a_stretch_that_left_the_light_is_led_back():
     codes = (OPEN, RASKAR)
     measure = PathMeasure(kernels_of(BENT, codes), codes)
