@@ -29,6 +29,14 @@ def shake(seed, length_px=60.0, direction="unknown"):
     )
 
 
+def bow(length_px, sagitta_px):
+    """Nearly straight path: across it H hardly changes."""
+    t = np.linspace(0, 1, 65)
+    return Trajectory.from_samples(
+        np.stack([length_px * t, sagitta_px * np.sin(np.pi * t)], axis=1), direction="known"
+    )
+
+
 def stored(certificate):
     """As it comes back from a file."""
     return json.loads(json.dumps(certificate.to_dict()))
@@ -88,6 +96,7 @@ def test_any_code_is_confirmed(code):
         (RASKAR, shake(1), "kantorovich"),
         (RASKAR, shake(2, direction="known"), "kantorovich"),
         (ShutterCode("110100"), shake(3, 30.0), "kantorovich"),
+        (ShutterCode("11100000011110000100001111111111"), bow(24.0, 0.003), "kantorovich"),
     ],
 )
 def test_zeros_are_confirmed(code, path, kind):
