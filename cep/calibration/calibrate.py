@@ -28,9 +28,9 @@ from motdiff.estimators.description import as_estimate
 from motdiff.estimators.method import Method, command_options
 from motdiff.estimators.registry import METHODS, check_options, make_method
 from motdiff.files.gyro_tables import read_gyro
-from motdiff.files.outputs import new_folder
+from motdiff.files.outputs import new_folder, summary_on_failure
 from motdiff.files.plugins import is_reference
-from motdiff.files.trajectories import StoredMotion, write_motion
+from motdiff.files.trajectories import StoredMotion, trajectory_text, write_motion
 from motdiff.psf_frame import PSF_PX
 from motdiff.types import FloatArray
 
@@ -115,7 +115,9 @@ class Calibration(MotionEstimate):
         if self.path_error_px is not None:  # cep advise and cep optimize choose exposures by it
             about["path_uncertainty_px"] = self.path_error_px
         stored = StoredMotion(self.best, self.weights[0], alternatives, about)
-        with new_folder(folder, CALIBRATION_FILES, force=force) as staged:
+        # a full disk must not cost the estimate: its error names the path
+        summary = summary_on_failure(trajectory_text(self.best))
+        with summary, new_folder(folder, CALIBRATION_FILES, force=force) as staged:
             write_motion(staged / "trajectory.json", stored)
             write_psf(staged, self.psf)
             if self.best.frame_size() <= PSF_PX:

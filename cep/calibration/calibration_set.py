@@ -2,65 +2,68 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from cep.calibration.order_codes import allowed_limits, search_order_codes
-from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation, ordered_walks
+from cep.calibration.order_codes import allowed_limits, search_next
+from cep.calibration.order_contrast import TOLD, OrderContrast
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
+from cep.search.limits import nearest
 from hw.device import DeviceProfile
 from hw.export import export_program, find_exporter
 from hw.program import Program
+from motdiff.estimators.coded.starts import orders
 from motdiff.files.inputs import one_line
 from motdiff.files.json_files import fault, json_text, load_schema, read_versioned
 from motdiff.files.outputs import new_folder, write_text
+from motdiff.motions import boracchi_foi
+from motdiff.types import FloatArray
 
 _FILE = "set.json"
-_SCHEMA = "cep.calibration-set/1"
+_SCHEMA = "cep.calibration-set/2"
 
 _LENGTH_PX = 60.0  # walks that long have 8 orders in the median: enough for a set to fail on
-_DESIGN_WALKS = 64
+_DESIGN_WALKS = 32
 _TEST_WALKS = 64  # others than those of the design, which its codes fit too well
+_MOST_ORDERS = 6  # of a walk, beside its own
+_ALIKE_PX = 2.0  # orders nearer than this to the walk's, rms, do no harm
+_KNOTS = 53
 _LEAST_CHIPS = 4
 _MOST_CHIPS = 512  # the walks' slices take 0.6 MB a chip
+_LEAST_PHOTOS = 2
 _MOST_PHOTOS = 8
-
-_RIGHT = {1: (3, 39), 2: (22, 51), 3: (8, 12), 4: (36, 39)}
-"""By number of photos: simulated walks of 60 px whose path was found within 1 px, in order, and
-all of them (docs/decisions/motion-estimation.md and benchmarks.md)."""
+_RIGHT = {2: (17, 24)}
+"""By number of photos: shakes and tangled walks, simulated on photographs, whose path was found
+within 1 px, in order, and all of them (docs/decisions/motion-estimation.md)."""
 
 
 @dataclass(frozen=True)
-class Separation:
+class Contrast:
     """How well a set tells orders in time, on simulated walks other than those it was designed on.
 
     Attributes
     ----------
     walks : int
     length_px : float, px
-    resolved : int
-        Walks of which each other order, six at most, changes the photos by more than a blind
-        search errs.
+    walks_told : int
+        Walks of which the photos rule out each other order, six at most.
     median, worst_tenth : float
-        Over all other orders: energy of the change of the photos' PSFs over that of the open
-        shutter's PSF.
-    conditioning : float
-        Smallest rms MTF of the codes below :data:`cep.calibration.order_separation.BAND_CY_PX`; a
-        tenth of the walks have less.
+        Over all other orders: chi-square between them and the walk's, as of
+        :class:`cep.calibration.order_contrast.OrderContrast`.
     """
 
     walks: int
     length_px: float
-    resolved: int
+    walks_told: int
     median: float
     worst_tenth: float
-    conditioning: float
 
 
 @dataclass(frozen=True)
@@ -70,13 +73,13 @@ class CalibrationSet:
     Attributes
     ----------
     codes : tuple of ShutterCode
-    separation : Separation
+    contrast : Contrast
     device : DeviceProfile or None
         That can play them.
     """
 
     codes: tuple[ShutterCode, ...]
-    separation: Separation
+    contrast: Contrast
     device: DeviceProfile | None = None
 
     @property
@@ -89,26 +92,20 @@ class CalibrationSet:
 
     @property
     def summary(self) -> str:
-        """What to do, how often it was enough, and what the set resolves."""
-        separation = self.separation
+        """What to do, and how often that tells the order."""
         count = len(self.codes)
         steps = ", ".join(
             f"P{i} {'with the shutter open' if name == 'open' else f'through {name}'}"
             for i, name in enumerate(self.sources, 1)
         )
-        resolved = (
-            f"In {separation.resolved} of {separation.walks} simulated walks of"
-            f" {separation.length_px:g} px each other order in time that was tried, six at most,"
-            " changes the photos by more than a blind search errs."
-        )
         measured = ""
         if count in _RIGHT:
-            right, walks = _RIGHT[count]
-            measured = f" So many photos told the order of {right} of {walks} simulated walks."
-        return (
-            f"Take {count} {'photo' if count == 1 else 'photos'} of the motion, {steps}.{measured}"
-            f" {resolved}"
-        )
+            right, motions = _RIGHT[count]
+            measured = (
+                f" So many photos told the order of {right} of {motions} motions, simulated on"
+                " photographs."
+            )
+        return f"Take {count} photos of the motion, {steps}.{measured}"
 
     def command(self, folder: Path | str) -> str:
         """Return the command that finds the motion from photos P1, P2, ... and the set."""
@@ -137,7 +134,7 @@ class CalibrationSet:
             "chips": self.codes[0].chips,
             "chip_ns": self.codes[0].chip_ns,
             "device": self.device and self.device.name,
-            "separation": self.separation,
+            "contrast": self.contrast,
         }
 
     def save(
@@ -224,7 +221,7 @@ def calibration_set(
     Parameters
     ----------
     photos : int
-        1 to 8.
+        2 to 8: in one alone the scene hides the order.
     chips : int
         4 to 512.
     chip_ns : int
@@ -246,37 +243,80 @@ def calibration_set(
     >>> len(codes), codes[0].chips
     (2, 8)
     """
-    if not 1 <= photos <= _MOST_PHOTOS:
-        raise ValueError(f"photos: must be 1 to {_MOST_PHOTOS}, got {photos}")
+    if not _LEAST_PHOTOS <= photos <= _MOST_PHOTOS:
+        raise ValueError(f"photos: must be {_LEAST_PHOTOS} to {_MOST_PHOTOS}, got {photos}")
     if not _LEAST_CHIPS <= chips <= _MOST_CHIPS:
         raise ValueError(f"chips: must be {_LEAST_CHIPS} to {_MOST_CHIPS}, got {chips}")
     limits, device = allowed_limits(chips, chip_ns, device)
     progress(0.0, "simulating walks")
+    # the open shutter fixes the path, of which only the order is left to tell
+    first = nearest(limits, np.ones(chips, dtype=np.int8))
+    assert first is not None  # as there are codes within the limits
     design, test = (
-        OrderSeparation(ordered_walks(count, length_px=_LENGTH_PX, rng=rng), chips=chips)
+        contrast_of_walks(ordered_walks(count, rng=rng), first, chips=chips)
         for count in (_DESIGN_WALKS, _TEST_WALKS)
     )
-    progress(0.2, "searching codes")
-    codes = search_order_codes(
-        limits,
-        photos,
-        measure=design,
-        rng=rng,
-        progress=lambda share: progress(0.2 + 0.7 * share, "searching codes"),
-    )
-    progress(0.9, "measuring")
-    # squared errors add up over photos
-    separations = np.sum([test.of(code) for code in codes], axis=0)
+    codes = [first]
+    while len(codes) < photos:
+        start = 0.1 + 0.85 * (len(codes) - 1) / (photos - 1)
+        code, _ = search_next(
+            design,
+            limits,
+            score=_harmonic_mean,
+            rng=rng,
+            progress=lambda share, start=start: progress(  # type: ignore[misc]
+                start + 0.85 * share / (photos - 1), "searching codes"
+            ),
+        )
+        codes.append(code)
+        design = design.after(code)
+        test = test.after(code)
+    if all((code == code[::-1]).all() for code in codes):
+        raise ValueError(
+            f"chips: every code of {chips} chips within the limits is its own mirror image, which"
+            " tells no direction; more or shorter chips would do"
+        )
+    progress(0.95, "measuring")
+    chi_squares = test.taken()
+    walk_starts = np.flatnonzero(np.diff(test.pairs[0], prepend=-1))
+    least_chi_squares = np.minimum.reduceat(chi_squares, walk_starts)
     return CalibrationSet(
         tuple(ShutterCode(code, chip_ns) for code in codes),
-        Separation(
+        Contrast(
             walks=_TEST_WALKS,
             length_px=_LENGTH_PX,
-            resolved=int((test.of_each_motion(separations) > BLIND_ERROR).sum()),
-            median=float(np.median(separations)),
-            worst_tenth=float(np.quantile(separations, 0.1)),
-            # a tenth of the walks is worse: the least of 64 would be an accident
-            conditioning=float(np.quantile(test.conditioning(np.stack(codes)), 0.1)),
+            walks_told=int((least_chi_squares > TOLD).sum()),
+            median=float(np.median(chi_squares)),
+            worst_tenth=float(np.quantile(chi_squares, 0.1)),
         ),
         device,
     )
+
+
+def _harmonic_mean(chi_squares: FloatArray) -> FloatArray:
+    """Mean (C,) in which orders hard to tell count most, but no hopeless walk alone."""
+    return np.asarray(1 / (1 / (chi_squares + TOLD)).mean(axis=1))
+
+
+def contrast_of_walks(
+    walks: Sequence[FloatArray], code: ArrayLike, *, chips: int
+) -> OrderContrast:
+    """Contrast of each walk's first order with its others, after a photo through a code."""
+    counts = np.array([len(walk) for walk in walks])
+    starts = np.cumsum(counts) - counts
+    altered = np.setdiff1d(np.arange(counts.sum()), starts)
+    pairs = np.stack([np.repeat(starts, counts - 1), altered])
+    return OrderContrast(np.concatenate(walks), [code], chips=chips, pairs=pairs)
+
+
+def ordered_walks(count: int, *, rng: np.random.Generator) -> list[FloatArray]:
+    """Draw walks (N, 53, 2), px: a walk, its reverse and up to five other orders of its loops."""
+    walks = []
+    for _ in range(count):
+        walk = orders(boracchi_foi(rng, max_length_px=_LENGTH_PX), knots=_KNOTS, count=64)
+        apart = walk[2:] - walk[0]
+        apart = apart - apart.mean(axis=1, keepdims=True)  # a shift of all of it does no harm
+        altered = 2 + np.flatnonzero(np.sqrt((apart**2).sum(axis=2).mean(axis=1)) >= _ALIKE_PX)
+        chosen = rng.permutation(altered)[: _MOST_ORDERS - 1]
+        walks.append(walk[[0, 1, *chosen]])
+    return walks

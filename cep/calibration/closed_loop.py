@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.calibration.calibrate import Calibration, estimate_motion
-from cep.calibration.next_code import SURE, NextCode, is_sure, next_code
+from cep.calibration.next_code import SURE, NextCode, check_next, is_sure, next_code
 from cep.calibration.order_codes import allowed_limits
 from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile
@@ -70,9 +70,9 @@ def calibration_steps(
     chips, chip_ns : int
         Of all codes: the motion lasts as long as they do.
     device : DeviceProfile or str, optional
-        That can play the codes.
+        That can play the codes, of which the first is open throughout.
     least_probability : float
-        Stated probability of the order in time from which no other photo is taken.
+        Stated probability of the order in time from which no other photo is taken, at most 0.97.
     most_photos : int
     seed : int
         Of what is drawn at random.
@@ -87,7 +87,7 @@ def calibration_steps(
     Raises
     ------
     ValueError
-        If an argument is malformed, the device can play no such code, or a photo cannot be
+        If an argument is malformed, the device cannot play the codes, or a photo cannot be
         searched.
 
     Examples
@@ -102,9 +102,17 @@ def calibration_steps(
         raise ValueError(f"most_photos: must be at least 1, got {most_photos}")
     if chips < _LEAST_CHIPS:
         raise ValueError(f"chips: must be at least {_LEAST_CHIPS}, got {chips}")
-    allowed_limits(chips, chip_ns, device)  # refused before a photo is taken
-    rng = np.random.default_rng(seed)
+    # refused before a photo is taken
+    check_next((), least_probability=least_probability, chips=chips, chip_ns=chip_ns)
+    limits, profile = allowed_limits(chips, chip_ns, device)
     code = ShutterCode("1" * chips, chip_ns)
+    if not limits.satisfied(np.ones((1, chips), dtype=np.int8))[0]:
+        assert profile is not None
+        raise ValueError(
+            f"device: {profile.name} cannot stay open for {code.duration_ns / 1e6:g} ms, and the"
+            " first photo needs it; give a shorter chip_ns or fewer chips"
+        )
+    rng = np.random.default_rng(seed)
     choice = None
     photos: tuple[ArrayLike, ...] = ()
     codes: tuple[ShutterCode, ...] = ()

@@ -4,33 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import ceil, log2
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.calibration.order_codes import (
-    allowed_limits,
-    longest_rest,
-    neighbours,
-    start_codes,
-)
-from cep.calibration.order_contrast import OrderContrast, SceneLight
+from cep.calibration.order_codes import allowed_limits, search_next
+from cep.calibration.order_contrast import TOLD, OrderContrast, SceneLight
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
-from cep.search.limits import Limits
-from cep.search.sampling import draw
 from hw.device import DeviceProfile
 from motdiff.crops import luminance
 from motdiff.estimators.base import MotionEstimate
+from motdiff.estimators.coded.estimator import LARGEST_PROBABILITY
 from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import rms_distance_px
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
-
-Code = NDArray[np.int8]
 
 SURE = 0.95
 """Probability of an order from which no other photo is needed."""
@@ -38,14 +29,6 @@ SURE = 0.95
 _KNOTS = 53
 _MOST_ORDERS = 40
 _ALIKE_PX = 2.0  # orders nearer than this, rms, do no harm
-_TOLD = 400.0  # chi-square beyond which photos taken rule an order out, errors of the model too
-_DRAWN = 64  # random codes to begin with
-_HARD_PAIRS = 32  # pairs of orders that the search looks at; the best codes are judged by all
-_BEAMS = 2  # codes whose neighbours are tried
-_MOST_ROUNDS = 10
-_FINALISTS = 8
-
-_Rating = tuple[int, float]  # chips too many at rest, negative; least chi-square
 
 
 @dataclass(frozen=True)
@@ -122,7 +105,7 @@ def next_code(
         From these photos: of one its path, in all orders; of more its paths, each again with its
         loops reversed.
     least_probability : float
-        Stated probability from which no other photo is needed.
+        Stated probability from which no other photo is needed, at most 0.97.
     chips, chip_ns : int
         Of the code where the photos' codes do not say.
     device : DeviceProfile or str, optional
@@ -139,19 +122,21 @@ def next_code(
     Raises
     ------
     ValueError
-        If the device can play no such code.
+        If the device can play no such code, or ``least_probability`` is out of range.
     """
+    check_next(
+        codes, least_probability=least_probability, chips=chips, chip_ns=chip_ns, device=device
+    )
     if is_sure(estimate, codes, least_probability=least_probability):
         return None
-    timed = [code for code in codes if code.chips > 1]  # an open shutter alone has no chips
-    if timed:
-        chips, chip_ns = timed[0].chips, timed[0].chip_ns
+    timed = _timed(codes)
+    chips, chip_ns = _timing(codes, chips, chip_ns)
     limits, profile = allowed_limits(chips, chip_ns, device)
     scene = SceneLight.of(luminance(photos[0]), estimate.best)
     photo_codes = [code.array for code in timed] or [np.ones(chips)]
-    paths = open_orders(estimate.trajectories)
+    paths, explaining = open_orders(estimate.trajectories)
     contrast = OrderContrast(paths, photo_codes, chips=chips, scene=scene)
-    surviving = survivors(contrast, len(estimate.trajectories))
+    surviving = survivors(contrast, explaining)
     if len(surviving) < len(paths):
         contrast = OrderContrast(paths[surviving], photo_codes, chips=chips, scene=scene)
     code, chi_square = search_next(contrast, limits, rng=rng, progress=progress)
@@ -162,6 +147,34 @@ def next_code(
         before=float(contrast.taken().min()),
         device=profile,
     )
+
+
+def check_next(
+    codes: Sequence[ShutterCode],
+    *,
+    least_probability: float = SURE,
+    chips: int = 52,
+    chip_ns: int = 1_000_000,
+    device: DeviceProfile | str | None = None,
+) -> None:
+    """Refuse, before the motion is estimated, what :func:`next_code` would refuse after it."""
+    if not 0 <= least_probability <= LARGEST_PROBABILITY:
+        raise ValueError(
+            f"least_probability: must be within 0..{LARGEST_PROBABILITY}, the largest that is"
+            f" stated, got {least_probability:g}"
+        )
+    allowed_limits(*_timing(codes, chips, chip_ns), device)
+
+
+def _timed(codes: Sequence[ShutterCode]) -> list[ShutterCode]:
+    """Codes with chips, which an open shutter alone has not."""
+    return [code for code in codes if code.chips > 1]
+
+
+def _timing(codes: Sequence[ShutterCode], chips: int, chip_ns: int) -> tuple[int, int]:
+    """Chips and chip time of photos' codes, those given where they do not say."""
+    timed = _timed(codes)
+    return (timed[0].chips, timed[0].chip_ns) if timed else (chips, chip_ns)
 
 
 def is_sure(
@@ -177,22 +190,32 @@ def is_sure(
     return bool(codes) and isinstance(probability, float) and probability >= least_probability
 
 
-def open_orders(paths: Sequence[Trajectory]) -> FloatArray:
-    """Orders in time (N, K, 2) of some paths, 40 at most, none within 2 px rms of another.
+def open_orders(paths: Sequence[Trajectory]) -> tuple[FloatArray, int]:
+    """List the orders in time of some paths, 40 at most, none within 2 px rms of another.
 
-    The paths themselves come first, then the orders of the first one, of the second, and so on.
+    Returns
+    -------
+    orders : (N, K, 2) float, px
+        The paths themselves, then the other orders of the first one, of the second, and so on.
+    count : int
+        How many of them are paths themselves.
     """
     listed = [orders(path, knots=_KNOTS, count=_MOST_ORDERS) for path in paths]
+    themselves = _distinct([order[0] for order in listed])
+    distinct = _distinct([*themselves, *(path for order in listed for path in order[1:])])
+    if len(distinct) == 1:  # shorter than that: its reverse is the one question left
+        distinct.append(distinct[0][::-1])
+    return np.stack(distinct), len(themselves)
+
+
+def _distinct(paths: Sequence[FloatArray]) -> list[FloatArray]:
+    """First paths (K, 2), centred, that are not within 2 px rms of one before; 40 at most."""
     distinct: list[FloatArray] = []
-    for path in [order[0] for order in listed] + [o for order in listed for o in order[1:]]:
+    for path in paths:
         centred = path - path.mean(axis=0)
         if all(rms_distance_px(centred, chosen_path) > _ALIKE_PX for chosen_path in distinct):
             distinct.append(centred)
-        if len(distinct) == _MOST_ORDERS:
-            break
-    if len(distinct) == 1:  # shorter than that: its reverse is the one question left
-        distinct.append(distinct[0][::-1])
-    return np.stack(distinct)
+    return distinct[:_MOST_ORDERS]
 
 
 def survivors(contrast: OrderContrast, count: int) -> NDArray[np.intp]:
@@ -204,65 +227,7 @@ def survivors(contrast: OrderContrast, count: int) -> NDArray[np.intp]:
     table = np.zeros((contrast.count, contrast.count))
     table[tuple(contrast.pairs)] = table[tuple(contrast.pairs[::-1])] = between
     nearest = table[:count].min(axis=0)
-    surviving = np.flatnonzero(nearest < _TOLD)
+    surviving = np.flatnonzero(nearest < TOLD)
     if len(surviving) > 1:
         return surviving
     return np.sort(np.argsort(nearest, kind="stable")[:2])
-
-
-def search_next(
-    contrast: OrderContrast,
-    limits: Limits,
-    *,
-    rng: np.random.Generator,
-    progress: Callable[[float], None] = lambda _share: None,
-) -> tuple[Code, float]:
-    """Search the code within limits whose photo tells the hardest two orders apart best.
-
-    The best of known and random codes are changed chip by chip while that helps, judged by the
-    pairs of orders that are hard; the best of these are judged by all pairs. No longer than in a
-    random code, ``log2(n)`` of ``n`` chips, do all shutters rest as they are, if it can be
-    avoided: in that time photos show the path, but not which way it ran, and the right path may be
-    none of these orders.
-
-    Returns
-    -------
-    (n,) int8 of 0 and 1, and its least chi-square
-    """
-    allowed = ceil(log2(limits.chips))
-
-    def rated(codes: Sequence[Code], pairs: NDArray[np.intp] | None = None) -> list[_Rating]:
-        chi_squares = contrast.of(codes, pairs).min(axis=1).tolist()
-        longest = [longest_rest([*contrast.codes, code]) for code in codes]
-        return [
-            (-max(0, rest_chips - allowed), chi_square)
-            for rest_chips, chi_square in zip(longest, chi_squares, strict=True)
-        ]
-
-    starts = [*start_codes(limits), *draw(limits, _DRAWN, rng=rng)]
-    first = contrast.of(starts[: _DRAWN // 4])
-    # what is hard for one of several codes: a pair easy for all of them stays easy
-    hard = np.argsort(first.min(axis=0))[:_HARD_PAIRS]
-    keys = [code.tobytes() for code in starts]
-    ratings = dict(zip(keys, rated(starts, hard), strict=True))
-    expanded: set[bytes] = set()
-    for turn in range(_MOST_ROUNDS):
-        progress((turn + 1) / (_MOST_ROUNDS + 1))
-        beams = sorted(ratings, key=ratings.__getitem__, reverse=True)[:_BEAMS]
-        fresh = [key for key in beams if key not in expanded]
-        if not fresh:
-            break
-        expanded.update(fresh)
-        new = {
-            neighbour.tobytes(): neighbour
-            for key in fresh
-            for neighbour in neighbours(limits, np.frombuffer(key, dtype=np.int8), single=True)
-        }
-        new = {key: code for key, code in new.items() if key not in ratings}
-        if new:
-            ratings.update(zip(new, rated(list(new.values()), hard), strict=True))
-    finalists = sorted(ratings, key=ratings.__getitem__, reverse=True)[:_FINALISTS]
-    codes = [np.frombuffer(key, dtype=np.int8) for key in finalists]
-    final_ratings = rated(codes)
-    best = max(range(len(codes)), key=final_ratings.__getitem__)
-    return codes[best].copy(), final_ratings[best][1]

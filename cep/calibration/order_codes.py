@@ -1,19 +1,18 @@
-"""Search for codes of several photos of one motion that tell its order in time."""
+"""Search for the code of one more photo of a motion, which tells its orders in time apart."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import compress
+from math import ceil, log2
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation
+from cep.calibration.order_contrast import OrderContrast
 from cep.codes.published import published
-from cep.optics.code import ShutterCode
-from cep.search.limits import Limits, RunLimits, check_feasible, feasible, nearest
+from cep.search.limits import Limits, RunLimits, check_feasible, nearest
 from cep.search.playable import within_device
 from cep.search.sampling import draw
 from hw.device import DeviceProfile, load_profile
@@ -21,10 +20,13 @@ from motdiff.types import FloatArray
 
 Code = NDArray[np.int8]
 
-_DRAWN = 16  # codes drawn for each limit on the openings, and the largest of these limits
-_MOST_PULSES = 8
-_SWEEPS = 6  # at most; it ends when a sweep gains nothing
-_UNSEEN_PARTS = 8  # the motion may be unseen for one of so many parts of the exposure
+_Rating = tuple[int, float]  # chips too many at rest, negative; what a score says
+
+_DRAWN = 64  # random codes to begin with
+_HARD_PAIRS = 32  # pairs of orders that the search looks at; the best codes are judged by all
+_BEAMS = 2  # codes whose neighbours are tried
+_MOST_ROUNDS = 10
+_FINALISTS = 8
 _GRAY_PLANES = (1, 2, 3, 4)  # 2 to 16 bins of time
 # de Bruijn sequences of order 3, 4 and 5: each window of so many chips occurs once, so a piece of
 # the code shows when it was played
@@ -53,116 +55,84 @@ def allowed_limits(
     return limits, device
 
 
-def search_order_codes(
+def least_chi_square(chi_squares: FloatArray) -> FloatArray:
+    """Chi-square (C,) of the two orders most alike, of chi-squares (C, P)."""
+    return np.asarray(chi_squares.min(axis=1))
+
+
+def search_next(
+    contrast: OrderContrast,
     limits: Limits,
-    photos: int,
     *,
-    measure: OrderSeparation,
+    score: Callable[[FloatArray], FloatArray] = least_chi_square,
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _share: None,
-) -> tuple[Code, ...]:
-    """Search codes whose photos confuse orders of the fewest motions.
+) -> tuple[Code, float]:
+    """Search the code within limits whose photo tells orders apart best.
 
-    The best of many codes are taken, and then changed edge by edge. Two photos or more begin with
-    the open shutter where the limits allow it: it fixes the path, of which only the order is left
-    to tell. At no time are all shutters closed for more than an eighth of the exposure, if it can
-    be avoided.
+    The best of known and random codes are changed chip by chip while that helps, judged by the
+    pairs of orders that are hard; the best of these are judged by all pairs. No longer than in a
+    random code, ``log2(n)`` of ``n`` chips, do all shutters rest as they are, if it can be
+    avoided: in that time photos show the path, but not which way it ran, and the right path may be
+    none of these orders.
 
     Parameters
     ----------
+    contrast : OrderContrast
+        Of the orders, after the photos that are taken already.
     limits : Limits
-        That every code keeps.
-    photos : int
-    measure : OrderSeparation
-        Of as many chips.
+    score : callable
+        Of each code, higher is better, from chi-squares (C, P) of codes and pairs of orders; that
+        of the two orders most alike when omitted.
     rng : numpy Generator
     progress : callable
         Called with the finished share 0..1.
 
     Returns
     -------
-    tuple of (n,) int8 of 0 and 1, one per photo
-
-    Raises
-    ------
-    ValueError
-        If every code within the limits is its own mirror image.
+    (n,) int8 of 0 and 1, and its score
     """
-    open_shutter = np.ones(limits.chips, dtype=np.int8)
-    open_codes: list[Code] = []
-    if photos > 1 and limits.satisfied(open_shutter[None])[0]:
-        open_codes = [open_shutter]
-    search = _Search(limits, measure)
-    candidates = start_codes(limits)
-    # one code beside the open shutter, if searched, fits the few walks of the design
-    searched = not open_codes or photos > 2
-    if searched or all(map(_is_own_mirror, candidates)):
-        candidates += _random_codes(limits, rng)
-    for i, code in enumerate(candidates):
-        search.separation(code)
-        progress(0.6 * i / len(candidates))
-    chosen: list[Code] = []
-    while len(open_codes) + len(chosen) < photos:
-        # greedy at first; the sweeps below revise each choice
-        companions = [*open_codes, *chosen]
-        chosen.append(search.best(candidates, companions))
-    for sweep in range(searched * _SWEEPS):
-        before = search.score([*open_codes, *chosen])
-        for i in range(len(chosen)):
-            # one code at a time: sets of several are too many to be tried
-            companions = [*open_codes, *chosen[:i], *chosen[i + 1 :]]
-            chosen[i] = search.best([chosen[i], *candidates], companions)
-            chosen[i] = search.best([chosen[i], *neighbours(limits, chosen[i])], companions)
-        progress(0.6 + 0.4 * (sweep + 1) / _SWEEPS)
-        if search.score([*open_codes, *chosen]) <= before:
+    allowed = ceil(log2(limits.chips))
+
+    def rated(codes: Sequence[Code], contrast: OrderContrast) -> list[_Rating]:
+        scores = score(contrast.of(codes)).tolist()
+        longest = [longest_rest([*contrast.codes, code]) for code in codes]
+        return [
+            (-max(0, rest_chips - allowed), value)
+            for rest_chips, value in zip(longest, scores, strict=True)
+        ]
+
+    starts = [*_start_codes(limits), *draw(limits, _DRAWN, rng=rng)]
+    first = contrast.of(starts[: _DRAWN // 4])
+    # what is hard for one of several codes: a pair easy for all of them stays easy
+    hard = contrast.among(np.argsort(first.min(axis=0))[:_HARD_PAIRS])
+    keys = [code.tobytes() for code in starts]
+    ratings = dict(zip(keys, rated(starts, hard), strict=True))
+    expanded: set[bytes] = set()
+    for turn in range(_MOST_ROUNDS):
+        progress((turn + 1) / (_MOST_ROUNDS + 1))
+        beams = sorted(ratings, key=ratings.__getitem__, reverse=True)[:_BEAMS]
+        fresh = [key for key in beams if key not in expanded]
+        if not fresh:
             break
-    if all(map(_is_own_mirror, chosen)):
-        raise ValueError(
-            f"chips: every code of {limits.chips} chips within the limits is its own mirror image,"
-            " which tells no direction; more or shorter chips would do"
-        )
-    return (*open_codes, *chosen)
+        expanded.update(fresh)
+        new = {
+            neighbour.tobytes(): neighbour
+            for key in fresh
+            for neighbour in _neighbours(limits, np.frombuffer(key, dtype=np.int8))
+        }
+        new = {key: code for key, code in new.items() if key not in ratings}
+        if new:
+            ratings.update(zip(new, rated(list(new.values()), hard), strict=True))
+    finalists = sorted(ratings, key=ratings.__getitem__, reverse=True)[:_FINALISTS]
+    codes = [np.frombuffer(key, dtype=np.int8) for key in finalists]
+    final_ratings = rated(codes, contrast)
+    best = max(range(len(codes)), key=final_ratings.__getitem__)
+    return codes[best].copy(), final_ratings[best][1]
 
 
-class _Search:
-    """Scores of sets of codes within limits; what each code separates is computed once."""
-
-    def __init__(self, limits: Limits, measure: OrderSeparation) -> None:
-        self._limits = limits
-        self._measure = measure
-        self._separations: dict[bytes, FloatArray] = {}
-
-    def separation(self, code: Code) -> FloatArray:
-        key = code.tobytes()
-        if key not in self._separations:
-            self._separations[key] = self._measure.of(code)
-        return self._separations[key]
-
-    def score(self, codes: Sequence[Code]) -> tuple[int, float]:
-        """Score of a set, higher is better: first what it loses for all walks, then for some."""
-        chips = self._limits.chips
-        excess = max(0, longest_unseen(np.stack(codes)) - max(1, chips // _UNSEEN_PARTS))
-        if all(map(_is_own_mirror, codes)):
-            # codes that are their own mirror image cannot tell a path from its reverse
-            excess += chips
-        # the worst order of each walk, but the mean over walks: a worst tenth fits the few walks
-        # of the design
-        separations = self._measure.of_each_motion(
-            np.sum([self.separation(code) for code in codes], axis=0)
-        )
-        confused = np.exp(-separations / BLIND_ERROR)
-        return -excess, -float(confused.mean())
-
-    def best(self, codes: Sequence[Code], companions: Sequence[Code]) -> Code:
-        """Return the code, the first of several, that makes the best set with the rest."""
-        return max(codes, key=lambda code: self.score([*companions, code]))
-
-
-def neighbours(limits: Limits, code: Code, *, single: bool = False) -> list[Code]:
-    """Codes within the limits with one edge moved by up to 2 chips, or all by up to 3.
-
-    With ``single``, those with one chip changed too.
-    """
+def _neighbours(limits: Limits, code: Code) -> list[Code]:
+    """Codes within the limits with one edge moved by up to 2 chips, all by up to 3, or a chip."""
     moved_codes = [np.roll(code, by) for by in (-3, -1, 1, 3)]
     for edge in np.flatnonzero(np.diff(code)) + 1:
         for by in (-2, -1, 1, 2):
@@ -171,8 +141,7 @@ def neighbours(limits: Limits, code: Code, *, single: bool = False) -> list[Code
             # the run after the edge grows where it moves back, else the one before it
             neighbour[first:end] = code[edge - (by > 0)]
             moved_codes.append(neighbour)
-    if single:
-        moved_codes += list(code ^ np.eye(len(code), dtype=np.int8))
+    moved_codes += list(code ^ np.eye(len(code), dtype=np.int8))
     return list(compress(moved_codes, limits.satisfied(np.stack(moved_codes))))
 
 
@@ -189,18 +158,6 @@ def gray_planes(planes: int, chips: int) -> Code:
     return np.asarray((number ^ (number >> 1)) >> np.arange(planes)[::-1, None] & 1, dtype=np.int8)
 
 
-def longest_unseen(codes: ArrayLike) -> int:
-    """Most chips in a row that are closed in every one of codes (I, n).
-
-    Examples
-    --------
-    >>> longest_unseen([[1, 0, 0, 0], [0, 0, 0, 1]])
-    2
-    """
-    union = ShutterCode(np.any(np.asarray(codes), axis=0))
-    return max((length for is_open, length in union.runs if not is_open), default=0)
-
-
 def longest_rest(codes: ArrayLike) -> int:
     """Most chips in a row over which no one of codes (I, n) switches.
 
@@ -213,7 +170,7 @@ def longest_rest(codes: ArrayLike) -> int:
     return int(np.diff([0, *switches, np.shape(codes)[1]]).max())
 
 
-def start_codes(limits: Limits) -> list[Code]:
+def _start_codes(limits: Limits) -> list[Code]:
     """Known codes and their complements, brought within the limits."""
     chips = limits.chips
     texts = (*_DE_BRUIJN, published("raskar-52").code.bits)
@@ -226,22 +183,8 @@ def start_codes(limits: Limits) -> list[Code]:
     return _without_repeats([code for code in allowed if code is not None])
 
 
-def _random_codes(limits: Limits, rng: np.random.Generator) -> list[Code]:
-    """Random codes of few openings."""
-    codes: list[Code] = []
-    for pulses in range(1, _MOST_PULSES + 1):
-        few = replace(limits, runs=limits.runs.tightened(RunLimits(max_pulses=pulses)))
-        if feasible(few):
-            codes += list(draw(few, _DRAWN, rng=rng))
-    return _without_repeats(codes)
-
-
 def _without_repeats(codes: Sequence[Code]) -> list[Code]:
     return list({code.tobytes(): code for code in codes}.values())  # arrays have no hash
-
-
-def _is_own_mirror(code: Code) -> bool:
-    return bool((code == code[::-1]).all())
 
 
 def _stretched(values: NDArray[Any], chips: int) -> NDArray[Any]:

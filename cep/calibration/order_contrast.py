@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.crops import centre_crop
+from motdiff.crops import pick_crops
 from motdiff.estimators.coded.scene_term import scene_side_px, scene_spectra
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 ComplexArray = NDArray[np.complex64]
+
+TOLD = 400.0
+"""Chi-square beyond which photos rule an order out, errors of the model too."""
 
 _BAND_CY_PX = 0.2  # beyond it, blurred photos hold little but noise
 _STEPS = 10  # frequencies from 0 to the band's end: 1 / 50 cycles/px apart
@@ -43,9 +47,10 @@ class SceneLight:
 
     @classmethod
     def of(cls, photo: FloatArray, path: Trajectory) -> SceneLight:
-        """Measure it in the middle of a photo (H, W) with an open shutter, blurred by a path."""
+        """Measure it where a photo (H, W) with an open shutter, blurred by a path, has texture."""
         side = scene_side_px(photo.shape)
-        crop = centre_crop(photo, side, side)
+        row, column = pick_crops(photo, size=side, count=1)[0]
+        crop = photo[row : row + side, column : column + side]
         margin = min(_MARGIN_PX, side // 6)
         spectra = scene_spectra([crop], grids=[side // 3], margin_px=margin)[0]
         fx, fy = spectra.f.numpy().T
@@ -75,6 +80,8 @@ class OrderContrast:
         Of the photos taken already.
     chips : int
     scene : SceneLight
+    pairs : (2, P) int, optional
+        Indices of the orders that are compared; all when omitted.
 
     Examples
     --------
@@ -94,6 +101,7 @@ class OrderContrast:
         *,
         chips: int,
         scene: SceneLight | None = None,
+        pairs: NDArray[np.intp] | None = None,
     ) -> None:
         scene = scene or SceneLight()
         step = _BAND_CY_PX / _STEPS
@@ -124,7 +132,7 @@ class OrderContrast:
         self._hats = np.stack([np.interp(middles, knots, hat) for hat in np.eye(_KNOTS)]).astype(
             np.float32
         )  # (knots, n)
-        self._pairs = np.stack(np.triu_indices(len(orders), 1))
+        self._pairs = np.stack(np.triu_indices(len(orders), 1)) if pairs is None else pairs
         self.codes = [np.asarray(code) for code in codes]
         self._taken = [self._photo(code) for code in self.codes]
 
@@ -140,23 +148,33 @@ class OrderContrast:
 
     def taken(self) -> FloatArray:
         """Chi-square (P,) of each pair by the photos taken already."""
-        return self._chi_squares(self._taken, np.arange(self._pairs.shape[1]))
+        return self._chi_squares(self._taken)
 
-    def of(self, codes: ArrayLike, pairs: NDArray[np.intp] | None = None) -> FloatArray:
-        """Chi-square (C, P) of each pair by the photos taken and one more through codes (C, n).
-
-        Parameters
-        ----------
-        pairs : (P,) int, optional
-            Of :attr:`pairs`; all when omitted.
-        """
-        chosen = np.arange(self._pairs.shape[1]) if pairs is None else pairs
+    def of(self, codes: ArrayLike) -> FloatArray:
+        """Chi-square (C, P) of each pair by the photos taken and one more through codes (C, n)."""
         return np.stack(
-            [
-                self._chi_squares([*self._taken, self._photo(code)], chosen)
-                for code in np.asarray(codes)
-            ]
+            [self._chi_squares([*self._taken, self._photo(code)]) for code in np.asarray(codes)]
         )
+
+    def among(self, pairs: NDArray[np.intp]) -> OrderContrast:
+        """Return the contrast of some of :attr:`pairs`, by their indices."""
+        contrast = copy(self)
+        indices_of_orders, indices = np.unique(self._pairs[:, pairs], return_inverse=True)
+        contrast._pairs = indices.reshape(2, -1)
+        contrast._slices = self._slices[indices_of_orders]
+        contrast._places = self._places[indices_of_orders]
+        contrast._taken = [
+            (otfs[indices_of_orders], slopes[indices_of_orders], centroids[indices_of_orders])
+            for otfs, slopes, centroids in self._taken
+        ]
+        return contrast
+
+    def after(self, code: ArrayLike) -> OrderContrast:
+        """Return the contrast of the same orders after one more photo, through a code (n,)."""
+        contrast = copy(self)
+        contrast.codes = [*self.codes, np.asarray(code)]
+        contrast._taken = [*self._taken, self._photo(code)]
+        return contrast
 
     def _photo(self, code: ArrayLike) -> tuple[ComplexArray, ComplexArray, FloatArray]:
         """OTFs (N, F) through a code, their slopes by each knot's move along f, and centroids."""
@@ -170,9 +188,8 @@ class OrderContrast:
     def _chi_squares(
         self,
         photos: Sequence[tuple[ComplexArray, ComplexArray, FloatArray]],
-        chosen: NDArray[np.intp],
     ) -> FloatArray:
-        a, b = self._pairs[:, chosen]
+        a, b = self._pairs
         observed = [otfs[a] for otfs, _, _ in photos]
         model = []
         slopes = []

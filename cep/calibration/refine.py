@@ -234,6 +234,7 @@ def _stands_alone(refined: Sequence[RefinedPath], *, least_gain: float) -> bool:
     best = refined[0]
     return all(
         candidate.cost - best.cost > least_gain
+        or timed_distance_px(candidate.given, best.given) < _SAME_PX
         or timed_distance_px(candidate.trajectory, best.trajectory) < _SAME_PX
         for candidate in refined[1:]
     )

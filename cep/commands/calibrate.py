@@ -197,7 +197,8 @@ def _calibrate_photos(
 ) -> None:
     """Estimate the motion in a photo, or in several of one motion."""
     images = options.images
-    options.check_next(sources, is_blind=method in blind_methods(), photos=len(images))
+    is_blind = method in blind_methods()
+    options.check_next(sources, method=method, is_blind=is_blind, photos=len(images))
     with progress(f"estimating the motion ({method})") as tick:
         tick(0.0, "reading the photo")
         from cep.calibration.calibrate import (
@@ -209,12 +210,12 @@ def _calibrate_photos(
         from cep.codes.sources import code_file, load_codes
         from cep.files.images import parse_gamma
         from cep.files.shot_files import read_light
-        from motdiff.files.outputs import claim, claim_folder, summary_on_failure
-        from motdiff.files.trajectories import trajectory_text
+        from motdiff.files.outputs import claim, claim_folder
 
         check_method(method, {**method_options, "codes": sources or None})
         codes = load_codes(sources) or None
         parse_gamma(options.gamma)
+        options.check_code(codes or ())
         folder = options.output or images[0].with_name(f"{images[0].stem}_motion")
         claim_folder(folder, CALIBRATION_FILES, force=options.force)
         next_files = [] if options.next_file is None else [options.next_file]
@@ -223,7 +224,6 @@ def _calibrate_photos(
         photos = [read_light(image, gamma=options.gamma) for image in images]
         values = read_options(method, method_options, gamma=options.gamma)
         started = time.perf_counter()
-        is_blind = method in blind_methods()
         start_share, end_share = _BLIND_ESTIMATE if is_blind else _OTHER_ESTIMATE
         if is_blind and len(images) > 1:
             end_share = _SEVERAL_END
@@ -241,32 +241,23 @@ def _calibrate_photos(
         except ValueError as error:
             raise ValueError(_with_file(str(error), images)) from None
         seconds = time.perf_counter() - started
-        choice = None
-        if options.next_file is not None:
-            tick(end_share, "choosing the next code")
-            choice = options.designed(
-                pixels,
-                codes or (),
-                calibration,
-                seed=options.seed,
-                progress=lambda share: tick(end_share + 0.1 * share, "choosing the next code"),
-            )
         tick(end_share, "writing")
         source: dict[str, object] = {"image": str(images[0]), "seed": options.seed}
         if codes is not None or len(images) > 1:
             source["images"] = list(map(str, images))
         if codes is not None:
             source["codes"] = [code.bits for code in codes]
-        # a full disk must not cost the estimate: its error names the path
-        with summary_on_failure(trajectory_text(calibration.best)):
-            files = calibration.save(
-                folder,
-                source=source,
-                force=options.force,
-                bits=min(photos[0].bits, 16),  # a PNG has no floating point
-                gamma=options.gamma,
-            )
-        if options.next_file is not None:
+        files = calibration.save(
+            folder,
+            source=source,
+            force=options.force,
+            bits=min(photos[0].bits, 16),  # a PNG has no floating point
+            gamma=options.gamma,
+        )
+        choice = None
+        if options.next_file is not None:  # what fails here does not cost the estimate
+            tick(0.97, "choosing the next code")
+            choice = options.designed(pixels, codes or (), calibration, seed=options.seed)
             write_next(choice, outputs, options.next_file)
         tick(1.0)
     warnings = [line for photo in photos for line in photo.warnings]
@@ -275,9 +266,7 @@ def _calibrate_photos(
     lines = _summary(calibration, folder, seconds=seconds, is_coded=codes is not None)
     if options.next_file is not None:
         result["next"] = choice and {"code": options.next_file, **choice.to_dict()}
-        step = next_step(
-            choice, options.next_file, images=images, sources=sources, estimate=calibration
-        )
+        step = next_step(choice, options, sources=sources, estimate=calibration, folder=folder)
         lines = [*step, *lines]
     if method_options.get("gyro") is not None:
         columns = calibration.details["columns"]

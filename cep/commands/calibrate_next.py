@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from cep.calibration.next_code import NextCode
+    from cep.commands.calibrate import CalibrateOptions
     from cep.optics.code import ShutterCode
     from motdiff.estimators.base import MotionEstimate
     from motdiff.files.outputs import Outputs
@@ -46,7 +47,7 @@ class NextOptions:
         "Probability of the order from which no other photo is asked for.",
         panel=_PANEL,
         min=0,
-        max=1,
+        max=0.97,  # the largest that is stated
         show_default="0.95",
     )
     chips: int | None = option(
@@ -69,7 +70,9 @@ class NextOptions:
     )
     device: Device = None
 
-    def check_next(self, sources: Sequence[str], *, is_blind: bool, photos: int) -> None:
+    def check_next(
+        self, sources: Sequence[str], *, method: str, is_blind: bool, photos: int
+    ) -> None:
         """Refuse what does not go with ``--next``, or with its absence."""
         options = [_OPTIONS[name] for name in self._given()]
         if self.next_file is None:
@@ -89,10 +92,21 @@ class NextOptions:
             raise ValueError(
                 "--next: needs --method motdiff or pmp for the first photo, and --code after it"
             )
+        if sources and method == "point":
+            raise ValueError(
+                "--next: is for photos of a scene; a light's trail through one code has an order"
+            )
         if len(sources) > 1:
             for name in ("--chips", "--chip-ns"):
                 if name in options:
                     raise ValueError(f"{name}: the codes given say it")
+
+    def check_code(self, codes: Sequence[ShutterCode]) -> None:
+        """Refuse a next code that cannot be, where one is asked for."""
+        if self.next_file is not None:
+            from cep.calibration.next_code import check_next
+
+            check_next(codes, **self._given())
 
     def _given(self) -> dict[str, Any]:
         """Return the settings of the next code that are given, by their names in Python."""
@@ -106,7 +120,6 @@ class NextOptions:
         estimate: MotionEstimate,
         *,
         seed: int,
-        progress: Callable[[float], None],
     ) -> NextCode | None:
         """Choose the next code, None where no other photo is needed."""
         import numpy as np
@@ -119,7 +132,6 @@ class NextOptions:
             estimate,
             **self._given(),
             rng=np.random.default_rng(seed),
-            progress=progress,
         )
 
 
@@ -132,35 +144,46 @@ def write_next(choice: NextCode | None, outputs: Outputs, target: Path) -> None:
 
 def next_step(
     choice: NextCode | None,
-    target: Path,
+    options: CalibrateOptions,
     *,
-    images: Sequence[Path],
     sources: Sequence[str],
     estimate: MotionEstimate,
+    folder: Path,
 ) -> list[str]:
     """Say what to do now: the next photo and the command after it, or that none is needed."""
-    from shlex import quote
+    from shlex import join
 
+    target = options.next_file
+    assert target is not None
+    photos = list(map(str, options.images))
     if choice is None:
         if estimate.details.get("motion_blur") is False:
             return ["No code: the photo shows no motion blur."]
+        trajectory = ["--trajectory", str(folder / "trajectory.json")]
         return [
             "Take no other photo: the order in time is known with probability"
-            f" {estimate.confidence:.2f}; no code is written. Search the working code with cep"
-            " optimize."
+            f" {estimate.confidence:.2f}; no code is written.",
+            f"then: {join(['cep', 'optimize', *trajectory])}",
+            f"photos: {join(['cep', 'deblur', *photos, *_codes(sources), *trajectory])}",
         ]
-    code_sources = [*(sources or ["open"]), str(target)]
-    photos = [*map(str, images), f"P{len(images) + 1}"]
-    following = target.with_name(f"{target.stem}_{len(images) + 2}.json")
-    command = " ".join(
-        [
-            "cep calibrate",
-            *map(quote, photos),
-            *(f"--code {quote(source)}" for source in code_sources),
-            f"--next {quote(str(following))} -o motion_{len(images) + 1}",
-        ]
-    )
+    number = len(photos) + 1
+    following = target.with_name(f"{target.stem}_{number + 1}.json")
+    words = ["cep", "calibrate", *photos, f"P{number}"]
+    words += _codes([*(sources or ["open"]), str(target)])
+    words += ["--next", str(following), "-o", f"motion_{number}"]
+    for flag, value, default in (
+        ("--sure", options.least_probability, None),
+        ("--device", options.device, None),
+        ("--gamma", options.gamma, "srgb"),
+        ("--seed", options.seed, 0),
+    ):
+        if value != default:
+            words += [flag, str(value)]
     return [
         f"Take the next photo of this motion with {target}: {choice.reason}.",
-        f"then: {command}",
+        f"then: {join(words)}",
     ]
+
+
+def _codes(sources: Sequence[str]) -> list[str]:
+    return [word for source in sources for word in ("--code", source)]

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 class CalibrationSetOptions(CommonOptions):
     """Options of ``cep calibration-set``."""
 
-    photos: int = option("--photos", "N", "Photos to be taken of the motion.", 4, min=1, max=8)
+    photos: int = option("--photos", "N", "Photos to be taken of the motion.", 4, min=2, max=8)
     chips: int = chips_option(default=STANDARD_CHIPS, fewest=4)
     chip_ns: int = option("--chip-ns", "NS", "Chip time, ns.", 1_000_000, panel=CODE, min=1)
     device: Device = None
@@ -44,17 +44,16 @@ def calibration_set(options: CalibrationSetOptions) -> None:
 
     One photo with an open shutter cannot show it. Writes set.json, which says in which order to
     take the photos and how to find the motion from them, and for each photo code_N.json and its
-    timed program. Two photos or more begin with the open shutter where the device allows it.
+    timed program. The first photo has the shutter open, as far as the device allows it.
 
-    Fields of --json that need a word, all measured on simulated walks other than those of the
-    design:
+    Each code tells apart best, after those before it, the orders of simulated walks that an open
+    shutter cannot tell. cep calibrate --next chooses the codes for one motion instead.
 
-    - separation.resolved: walks of which each other order, six at most, changes the photos by more
-      than a blind search errs.
-    - separation.median, separation.worst_tenth: energy of the change of the photos' PSFs over that
-      of the open shutter's PSF, over all other orders.
-    - separation.conditioning: smallest rms MTF of the codes at low frequencies; a tenth of the
-      walks have less.
+    Fields of --json that need a word, all of simulated walks other than those of the design:
+
+    - contrast.walks_told: walks of which the photos rule out each other order, six at most.
+    - contrast.median, contrast.worst_tenth: chi-square between a walk's photos and those of its
+      other orders, over all of these.
 
     Example: cep calibration-set --photos 4 --chips 52 --device flc -o set
     """

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.commands.code_options import (
@@ -189,7 +188,7 @@ def optimize(options: OptimizeOptions) -> None:
             "warnings": best.warnings,
             "seed": options.seed,
         },
-        _page(best, options.output, options.trajectory),
+        _page(best, options),
         as_json=options.as_json,
         outputs=outputs,
         save=lambda staged: best.save(staged[options.output], source=source),
@@ -197,13 +196,16 @@ def optimize(options: OptimizeOptions) -> None:
     )
 
 
-def _page(best: OptimizedCode, file: Path, trajectory: Path | None) -> Page:
+def _page(best: OptimizedCode, options: OptimizeOptions) -> Page:
     """Lay a search and its comparison out for people."""
+    from shlex import join
+
     from cep.files.formatting import duration, number
     from cep.search.chip_count import in_words_of_chips
 
     code = best.code
     search = best.search
+    file = str(options.output)
     modulus, figure, head = ("|H|", "min_mtf", "min MTF")
     if best.along is None:  # a straight motion's minimum is that of the code's polynomial
         modulus, figure, head = ("|P|", "min_chip", "min |P|, chips")
@@ -230,9 +232,14 @@ def _page(best: OptimizedCode, file: Path, trajectory: Path | None) -> Page:
     yield Table("compared on this motion (worse direction where unknown)", columns, rows)
     if best.complement:
         yield "both cameras, restored together; min MTF: root of the mean of both |H|^2, sampled"
-        yield f"one camera: cep export {file} -f FORMAT; the other: complement:{file}"
-        along = f" --trajectory {trajectory}" if trajectory else ""
-        yield f"photos: cep deblur a.png b.png --code {file} --code complement:{file}{along}"
+        complement = f"complement:{file}"
+        yield f"one camera: {join(['cep', 'export', file])} -f FORMAT; the other: {complement}"
+        words = ["cep", "deblur", "a.png", "b.png", "--code", file, "--code", complement]
+        if options.trajectory is not None:
+            words += ["--trajectory", str(options.trajectory)]
+        elif options.linear is not None:
+            words += ["--linear", f"{options.linear:g}"]
+        yield f"photos: {join(words)}"
     if best.certificate:
         yield (
             f"certified: min {modulus} lies within "

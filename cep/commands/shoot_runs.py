@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,7 +12,7 @@ from cep.commands.console import FAILURE, announce, finish, progress
 from cep.commands.errors import with_photo_file
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from cep.calibration.calibrate import Calibration
     from cep.calibration.closed_loop import CalibrationStep
@@ -70,19 +71,19 @@ def calibrate_with_set(options: ShootOptions, folder: Path) -> None:
     photos = take_photos(options, codes, stems)
     result: dict[str, object] = {"photos": photos.files, "counts": photos.counts}
     lines = [photos.headline]
+    warnings = photos.warnings
     if photos.counts:
-        with progress("estimating the motion") as tick:
+        with _photos_named(photos), progress("estimating the motion") as tick:
             lights = [shot.light for shot in photos.shots]
             calibration = estimate_motion(lights, codes=codes, progress=tick)
             paths = calibration.save(
                 motion_folder, source=_source(photos, codes), force=options.force
             )
         result |= {"trajectory": paths["trajectory.json"], "confidence": calibration.confidence}
-        about_motion, command = _motion_lines(
-            calibration, paths["trajectory.json"], photos=len(codes), code=codes[0]
-        )
-        lines = [about_motion, *lines, command]
-    result["warnings"] = photos.warnings
+        warnings = [*warnings, *calibration.warnings]
+        about_motion, *command = _motion_lines(calibration, paths["trajectory.json"], codes)
+        lines = [about_motion, *lines, *command]
+    result["warnings"] = warnings
     finish(result, lines, as_json=options.as_json)
     end_unless_counted(photos)
 
@@ -92,15 +93,39 @@ def _source(photos: ShotFolder, codes: Sequence[ShutterCode]) -> dict[str, objec
     return {"images": list(map(str, photos.files)), "codes": [code.bits for code in codes]}
 
 
+@contextmanager
+def _photos_named(photos: ShotFolder) -> Iterator[None]:
+    """Name the files in whatever ends an estimate from photos: they are there."""
+    try:
+        yield
+    except BaseException as error:  # Ctrl-C as well
+        if isinstance(error, ValueError):
+            error.args = (with_photo_file(str(error), photos.files),)
+        if photos.files:
+            error.add_note(f"photos so far: {', '.join(map(str, photos.files))}")
+        raise
+
+
+def _moves(calibration: Calibration) -> bool:
+    return calibration.details.get("motion_blur") is not False
+
+
 def _motion_lines(
-    calibration: Calibration, trajectory: Path, *, photos: int, code: ShutterCode
+    calibration: Calibration, trajectory: Path, codes: Sequence[ShutterCode]
 ) -> list[str]:
     """Say what motion the photos show, and the command that searches a code for it."""
+    from shlex import join
+
+    if not _moves(calibration):
+        shows = "photos show" if len(codes) > 1 else "photo shows"
+        return [f"The {shows} no motion blur: there is nothing to calibrate."]
+    command = ["cep", "optimize", "--trajectory", str(trajectory), "--chips", str(codes[0].chips)]
+    command += ["--exposure", f"{codes[0].duration_ns * 1e-6:g}ms", "-o", "code.json"]
     return [
-        f"{trajectory.parent}: path of {calibration.best.length_px:.1f} px from {photos} photos,"
-        f" in this order in time with probability {calibration.confidence:.2f}",
-        f"then: cep optimize --trajectory {trajectory} --chips {code.chips} --exposure"
-        f" {code.duration_ns * 1e-6:g}ms -o code.json",
+        f"{trajectory.parent}: path of {calibration.best.length_px:.1f} px from"
+        f" {len(codes)} photos, in this order in time with probability"
+        f" {calibration.confidence:.2f}",
+        f"then: {join(command)}",
     ]
 
 
@@ -137,7 +162,7 @@ def calibrate_by_shots(options: ShootOptions) -> None:
                 f"--calibrate: camera {rig.camera.name}: each photo needs the motion anew; a video"
                 " has it once"
             )
-        try:
+        with _photos_named(folder):
             steps, trajectory = calibrate_in_loop(
                 take,
                 motion_folder,
@@ -148,37 +173,26 @@ def calibrate_by_shots(options: ShootOptions) -> None:
                 force=options.force,
                 progress=tick,
             )
-        except BaseException as error:  # Ctrl-C as well: the photos are there
-            if isinstance(error, ValueError):
-                error.args = (with_photo_file(str(error), folder.files),)
-            if folder.files:
-                error.add_note(f"photos so far: {', '.join(map(str, folder.files))}")
-            raise
     folder.drop_others()
     last = steps[-1]
-    moves = last.calibration.details.get("motion_blur") is not False
     finish(
         {
             "photos": folder.files,
             "codes": [code.bits for code in last.codes],
-            "sure": last.is_sure and moves,
+            "sure": last.is_sure and _moves(last.calibration),
             "trajectory": trajectory,
             "confidence": last.calibration.confidence,
             "confidences": [step.calibration.confidence for step in steps],
             "warnings": [*folder.warnings, *last.calibration.warnings],
         },
-        _outcome(last, trajectory, moves=moves),
+        _outcome(last, trajectory),
         as_json=options.as_json,
     )
 
 
-def _outcome(step: CalibrationStep, trajectory: Path, *, moves: bool) -> list[str]:
+def _outcome(step: CalibrationStep, trajectory: Path) -> list[str]:
     """Say what the photos show, and what to do with it."""
-    if not moves:
-        return ["The photo shows no motion blur: there is nothing to calibrate."]
-    lines = _motion_lines(
-        step.calibration, trajectory, photos=len(step.photos), code=step.codes[0]
-    )
+    lines = _motion_lines(step.calibration, trajectory, step.codes)
     if not step.is_sure:
         return [
             lines[0],

@@ -86,7 +86,7 @@ class CepOptions(TableOptions, WorkerOptions, PhotoOptions):
         "NAME,...",
         "Ways to choose the code, as open,dnf,both-ways; when omitted all but those that"
         " take long: "
-        "calibrated-1, calibrated-2, calibrated-4 (from so many coded photos),"
+        "calibrated-2, calibrated-4 (from so many coded photos),"
         " calibrated-point, class-snapshot.",
         "",
     )

@@ -29,7 +29,6 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 CALIBRATIONS: Mapping[str, str] = {
-    "one coded": "designed1",
     "open + one": "designed2",
     "open + three": "open+gray3",
 }

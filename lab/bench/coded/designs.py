@@ -70,9 +70,6 @@ DESIGNS: dict[str, Design] = {
     "one-way": Design("ours, one way (as the paper)", "ours"),
     "posterior": Design("ours, both ways, all alternatives", "ours"),
     "both-ways": Design("ours, both ways", "ours", compared=True),
-    "calibrated-1": Design(
-        "ours, calibrated by one coded photo", "one coded", compared=True, only_named=True
-    ),
     "calibrated-2": Design(
         "ours, calibrated by open + one coded", "open + one", compared=True, only_named=True
     ),

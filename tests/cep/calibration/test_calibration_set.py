@@ -6,7 +6,15 @@ import shlex
 import numpy as np
 import pytest
 
-from cep.calibration.calibration_set import calibration_set, read_set, set_files
+from cep.calibration.calibration_set import (
+    _harmonic_mean,
+    calibration_set,
+    contrast_of_walks,
+    ordered_walks,
+    read_set,
+    set_files,
+)
+from cep.calibration.order_codes import gray_planes
 from cep.codes.sources import load_codes
 from cep.files.code_files import read_code
 from hw.device import load_profile
@@ -33,14 +41,31 @@ def test_the_same_seed_designs_the_same_set(pair):
 
 
 def test_figures_are_of_walks_that_the_design_did_not_see(pair):
-    found = pair.separation
-    assert 0 <= found.resolved <= found.walks == 64
-    assert 0 < found.worst_tenth < found.median
-    assert 0 < found.conditioning < 1
-    assert f"In {found.resolved} of 64 simulated walks" in pair.summary
+    contrast = pair.contrast
+    assert 0 <= contrast.walks_told <= contrast.walks == 64
+    assert 0 < contrast.worst_tenth < contrast.median
     assert pair.summary.startswith(
-        "Take 2 photos of the motion, P1 with the shutter open, P2 through code_2.json. "
+        "Take 2 photos of the motion, P1 with the shutter open, P2 through code_2.json."
     )
+
+
+def test_another_photo_tells_more_and_the_photos_before_keep_their_codes(pair):
+    three = calibration_set(
+        3, chips=12, chip_ns=500_000, device="flc", rng=np.random.default_rng(0)
+    )
+    assert three.codes[:2] == pair.codes
+    assert three.contrast.worst_tenth > pair.contrast.worst_tenth
+    assert three.contrast.walks_told >= pair.contrast.walks_told
+
+
+def test_a_gray_plane_tells_no_more():
+    rng = np.random.default_rng(4)
+    codes = calibration_set(2, chips=16, rng=rng).codes
+    walks = ordered_walks(12, rng=np.random.default_rng(5))
+    contrast = contrast_of_walks(walks, np.ones(16), chips=16)
+    (designed,) = _harmonic_mean(contrast.of([codes[1].array]))
+    planes = [plane for count in (1, 2, 3, 4) for plane in gray_planes(count, 16)]
+    assert designed > 0.8 * _harmonic_mean(contrast.of(planes)).max()  # other walks
 
 
 @pytest.mark.parametrize(
@@ -85,8 +110,8 @@ def test_files_are_those_that_the_command_reads(pair, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("options", "line"),
     [
-        ({"photos": 0}, "photos: must be 1 to 8, got 0"),
-        ({"photos": 9}, "photos: must be 1 to 8, got 9"),
+        ({"photos": 1}, "photos: must be 2 to 8, got 1"),
+        ({"photos": 9}, "photos: must be 2 to 8, got 9"),
         ({"chips": 3}, "chips: must be 4 to 512, got 3"),
         ({"chips": 513}, "chips: must be 4 to 512, got 513"),
         ({"device": "mechanical"}, "chips: mechanical opens for at least 30 ms"),

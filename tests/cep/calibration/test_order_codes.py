@@ -1,75 +1,64 @@
-"""Codes that tell orders: the best of all where all can be tried, and within limits."""
+"""The search for one more code that tells orders: near the best of all, and within limits."""
 
-from itertools import product
+import itertools
 
 import numpy as np
 import pytest
 
-from cep.calibration.order_codes import gray_planes, longest_unseen, search_order_codes
-from cep.calibration.order_separation import BLIND_ERROR, OrderSeparation, ordered_walks
+from cep.calibration.order_codes import gray_planes, longest_rest, search_next
+from cep.calibration.order_contrast import OrderContrast
 from cep.search.limits import Limits, RunLimits
 
-
-def found_codes(limits, photos, *, walks=6):
-    rng = np.random.default_rng(4)
-    measure = OrderSeparation(ordered_walks(walks, rng=rng), chips=limits.chips)
-    return np.array(search_order_codes(limits, photos, measure=measure, rng=rng)), measure
-
-
-def confused(measure, codes):
-    return np.exp(
-        -measure.of_each_motion(sum(measure.of(code) for code in codes)) / BLIND_ERROR
-    ).mean()
-
-
-def test_beside_an_open_photo_no_gray_plane_confuses_fewer_walks():
-    codes, measure = found_codes(Limits(16, (1, 16)), 2)
-    assert codes[0].tolist() == [1] * 16
-    planes = [
-        plane
-        for count in (1, 2, 3)
-        for plane in gray_planes(count, 16)
-        if (plane != plane[::-1]).any()
-    ]
-    assert confused(measure, codes) <= min(
-        confused(measure, [codes[0], plane]) for plane in planes
-    )
-
-
-def test_one_photo_sees_the_motion_nearly_always():
-    codes, measure = found_codes(Limits(6, (1, 6)), 1)
-    every = [
-        bits
-        for bits in product((0, 1), repeat=6)
-        if any(bits) and bits != bits[::-1] and longest_unseen([bits]) <= 1
-    ]
-    assert longest_unseen(codes) <= 1
-    assert confused(measure, codes) <= 1.25 * min(
-        confused(measure, [bits]) for bits in every
-    )  # a search, not a proof
-
-
-@pytest.mark.parametrize(
-    ("photos", "limits"),
-    [
-        (3, Limits(20, (4, 12), RunLimits(min_open=3, min_closed=2, max_open=6))),
-        (2, Limits(24, (1, 24), RunLimits(min_open=2, max_pulses=2))),
-        (1, Limits(20, (1, 20), RunLimits(min_period=6))),
-    ],
+CHIPS = 8
+OPEN = np.ones(CHIPS)
+TIMES = np.linspace(0, 1, 53)
+# a straight run, a loop, and a run on; and all of it backwards
+ANGLE = 2 * np.pi * np.clip((TIMES - 0.25) / 0.5, 0, 1)
+LOOP = np.stack(
+    [40 * TIMES - 8 * np.sin(ANGLE) - 20 * np.clip(TIMES - 0.25, 0, 0.5), 8 - 8 * np.cos(ANGLE)],
+    axis=1,
 )
-def test_limits_are_kept(photos, limits):
-    codes, _ = found_codes(limits, photos, walks=3)
-    assert codes.shape == (photos, limits.chips)
-    assert limits.satisfied(codes).all()
-    assert any(code.tolist() != code[::-1].tolist() for code in codes)
-    assert (codes[0].min() == 1) == (photos > 1 and limits.open_range[1] == limits.chips)
+ORDERS = np.stack([LOOP, LOOP[::-1]])
 
 
-def test_codes_that_tell_no_direction_are_refused():
-    with pytest.raises(
-        ValueError, match="chips: every code of 4 chips within the limits is its own mirror image"
-    ):
-        found_codes(Limits(4, (4, 4)), 1, walks=2)
+@pytest.mark.parametrize("runs", [RunLimits(), RunLimits(min_open=2)])
+def test_the_search_comes_near_the_best_of_all_codes(runs):
+    limits = Limits(CHIPS, (1, CHIPS), runs)
+    codes = np.array(list(itertools.product((0, 1), repeat=CHIPS)), dtype=np.int8)
+    rests = np.array([longest_rest([code]) for code in codes])
+    codes = codes[limits.satisfied(codes) & (rests <= 3)]  # log2 of 8 chips
+    contrast = OrderContrast(ORDERS, [OPEN], chips=CHIPS)
+    best = contrast.of(codes).min(axis=1).max()
+    code, least = search_next(contrast, limits, rng=np.random.default_rng(1))
+    assert limits.satisfied(code[None])[0]
+    assert longest_rest([code]) <= 3
+    assert 0.9 * best < least <= (1 + 1e-3) * best
+
+
+def test_a_shutter_rests_no_longer_than_the_photos_before_leave_it():
+    contrast = OrderContrast(ORDERS, [np.ones(52)], chips=52)
+    limits = Limits(52, (1, 52))
+    code, _ = search_next(contrast, limits, rng=np.random.default_rng(3))
+    assert longest_rest([code]) <= 6
+    fine = np.tile([1, 0], 26)  # it switches at every chip, so the next code may rest
+    finely = OrderContrast(ORDERS, [np.ones(52), fine], chips=52)
+    free, least = search_next(finely, limits, rng=np.random.default_rng(3))
+    assert finely.of([code]).min() <= least == finely.of([free]).min()
+
+
+def test_of_other_scores_the_best_code_is_found_as_well():
+    codes = np.array(list(itertools.product((0, 1), repeat=CHIPS)), dtype=np.int8)
+    codes = codes[[code.any() and longest_rest([code]) <= 3 for code in codes]]
+    contrast = OrderContrast(np.stack([*ORDERS, 0.7 * LOOP[::-1]]), [OPEN], chips=CHIPS)
+
+    def mean(chi_squares):
+        return chi_squares.mean(axis=1)
+
+    code, value = search_next(
+        contrast, Limits(CHIPS, (1, CHIPS)), score=mean, rng=np.random.default_rng(1)
+    )
+    assert value == pytest.approx(contrast.of([code]).mean(), rel=1e-3)
+    assert value >= 0.9 * mean(contrast.of(codes)).max()
 
 
 def test_neighbouring_bins_of_a_gray_code_differ_in_one_plane():

@@ -1,23 +1,21 @@
 """The contrast of orders, and the next code that it chooses, beside physics and brute force."""
 
-import itertools
-
 import numpy as np
 import pytest
 
 from cep.calibration.next_code import (
     NextCode,
+    check_next,
     next_code,
     open_orders,
-    search_next,
     survivors,
 )
-from cep.calibration.order_codes import longest_rest
+from cep.calibration.order_codes import search_next
 from cep.calibration.order_contrast import OrderContrast, SceneLight
 from cep.files.code_files import read_code, stored_device
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
-from cep.search.limits import Limits, RunLimits
+from cep.search.limits import Limits
 from hw.device import load_profile
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.starts import orders
@@ -47,7 +45,7 @@ def estimate_of(*paths, confidence=0.5):
 
 
 def test_orders_that_an_open_shutter_cannot_tell_are_told_by_the_designed_code():
-    paths = open_orders([Trajectory.from_samples(LOOP)])
+    paths, _ = open_orders([Trajectory.from_samples(LOOP)])
     assert len(paths) >= 2
     contrast = OrderContrast(paths, [OPEN], chips=CHIPS)
     code, least = search_next(contrast, Limits(CHIPS, (1, CHIPS)), rng=np.random.default_rng(0))
@@ -70,8 +68,31 @@ def test_shifts_of_all_of_a_path_cost_nothing():
     assert contrast.of([[1, 1, 0, 1, 0, 0, 1, 0]])[0, 0] < 1e-2
 
 
+def test_pairs_and_photos_that_are_chosen_have_the_figures_that_they_have_among_all():
+    paths = np.stack([LOOP, LOOP[::-1], 0.7 * LOOP[::-1]])
+    codes = ([1, 1, 0, 1, 0, 0, 1, 0], [1, 0, 0, 1, 1, 1, 0, 0])
+    contrast = OrderContrast(paths, [OPEN], chips=CHIPS)
+    every = contrast.of(codes)
+    some = np.array([2, 0])
+    assert contrast.among(some).of(codes) == pytest.approx(every[:, some], rel=1e-3)
+    assert contrast.after(codes[0]).taken() == pytest.approx(every[0], rel=1e-3)
+    backwards = OrderContrast(paths, [OPEN], chips=CHIPS, pairs=contrast.pairs[:, :1])
+    assert backwards.of(codes)[:, 0] == pytest.approx(every[:, 0], rel=1e-3)
+
+
+def test_the_light_of_a_scene_is_measured_where_it_has_texture():
+    rng = np.random.default_rng(2)
+    scene = 0.1 + 0.8 * np.kron(rng.random((40, 40)), np.ones((8, 8)))
+    path = Trajectory.straight(9.0)
+    textured = capture(scene, path, rng=rng)
+    flat = np.full((560, 700), 0.5) + rng.normal(0, 0.005, (560, 700))
+    flat[:200, :200] = textured[:200, :200]
+    strengths = [SceneLight.of(photo, path).strength for photo in (textured[:200, :200], flat)]
+    assert strengths[1] > 0.3 * strengths[0] > 1
+
+
 def test_more_light_over_the_noise_tells_more_and_a_third_photo_adds():
-    paths = open_orders([Trajectory.from_samples(LOOP)])
+    paths, _ = open_orders([Trajectory.from_samples(LOOP)])
     code = [1, 0, 0, 1, 1, 1, 0, 0]
     dim, bright = (
         OrderContrast(paths, [OPEN], chips=CHIPS, scene=SceneLight(strength=s)).of([code])[0]
@@ -83,40 +104,36 @@ def test_more_light_over_the_noise_tells_more_and_a_third_photo_adds():
     assert np.all(three > two.taken())
 
 
-@pytest.mark.parametrize("runs", [RunLimits(), RunLimits(min_open=2)])
-def test_the_search_comes_near_the_best_of_all_codes(runs):
-    limits = Limits(CHIPS, (1, CHIPS), runs)
-    codes = np.array(list(itertools.product((0, 1), repeat=CHIPS)), dtype=np.int8)
-    rests = np.array([longest_rest([code]) for code in codes])
-    codes = codes[limits.satisfied(codes) & (rests <= 3)]  # log2 of 8 chips
-    contrast = OrderContrast(open_orders([Trajectory.from_samples(LOOP)]), [OPEN], chips=CHIPS)
-    best = contrast.of(codes).min(axis=1).max()
-    code, least = search_next(contrast, limits, rng=np.random.default_rng(1))
-    assert limits.satisfied(code[None])[0]
-    assert longest_rest([code]) <= 3
-    assert 0.9 * best < least <= (1 + 1e-3) * best
-
-
-def test_a_shutter_rests_no_longer_than_the_photos_before_leave_it():
-    contrast = OrderContrast(open_orders([Trajectory.from_samples(LOOP)]), [np.ones(52)], chips=52)
-    limits = Limits(52, (1, 52))
-    code, _ = search_next(contrast, limits, rng=np.random.default_rng(3))
-    assert longest_rest([code]) <= 6
-    fine = np.tile([1, 0], 26)  # it switches at every chip, so the next code may rest
-    paths = open_orders([Trajectory.from_samples(LOOP)])
-    finely = OrderContrast(paths, [np.ones(52), fine], chips=52)
-    free, least = search_next(finely, limits, rng=np.random.default_rng(3))
-    assert finely.of([code]).min() <= least == finely.of([free]).min()
-
-
 def test_survivors_are_what_the_photos_leave_open():
     angle = 4 * np.pi * TIMES
     curls = np.stack([30 * TIMES - 8 * np.sin(angle), 8 * np.cos(angle)], axis=1)
-    paths = open_orders([Trajectory.from_samples(curls)])
+    paths, _ = open_orders([Trajectory.from_samples(curls)])
     by_open = OrderContrast(paths, [OPEN], chips=CHIPS)
     assert len(survivors(by_open, 1)) == len(paths) > 2
     by_two = OrderContrast(paths, [OPEN, [1, 1, 1, 1, 0, 0, 0, 0]], chips=CHIPS)
     assert 2 <= len(survivors(by_two, 1)) < len(paths)
+
+
+def test_paths_nearly_alike_count_once_among_those_that_explain_the_photos():
+    path = Trajectory.from_samples(LOOP)
+    near = Trajectory.from_samples(LOOP + np.stack([1.2 * TIMES, 0 * TIMES], axis=1))
+    paths, count = open_orders([path, near, path.reversed()])
+    assert count == 2
+    assert paths[0] == pytest.approx(LOOP - LOOP.mean(axis=0), abs=0.5)
+    assert paths[1] == pytest.approx(paths[0][::-1], abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        ({"least_probability": 0.98}, "least_probability: must be within 0..0.97"),
+        ({"device": "mechanical", "chip_ns": 10}, "mechanical"),
+        ({"device": "nothing"}, "'nothing' is unknown"),
+    ],
+)
+def test_what_no_next_code_can_be_is_refused_before_the_search(options, named):
+    with pytest.raises(ValueError, match=named):
+        check_next((), **options)
 
 
 def test_the_next_code_can_be_played_and_comes_back_from_its_file(tmp_path):

@@ -1,15 +1,18 @@
 """``cep calibrate P1 P2 --code C1 --code C2``: photos of one motion through known codes."""
 
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import ndimage
 
+from cep.calibration.calibrate import Calibration
 from cep.files.code_files import StoredCode, read_code, write_code
 from cep.files.images import write_image
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
+from motdiff.estimators.base import MotionEstimate
 from motdiff.files.trajectories import read_motion
 from motdiff.trajectory import Trajectory
 
@@ -69,6 +72,18 @@ def test_the_code_of_the_next_photo_is_chosen_and_tells_the_order(cep, photos):
             "--next: begins with a photo through an open shutter (--code open), got --code"
             f" {CODES[1]}",
         ),
+        (["--next", "n.json", "--sure", "0.98"], "Invalid value for '--sure'"),
+        (
+            ["--next", "n.json", "--device", "mechanical", "--chip-ns", "10"],
+            "mechanical",
+        ),
+        (
+            [
+                "coded.png",
+                *("--method", "point", "--code", "open", "--code", CODES[1], "--next", "n.json"),
+            ],
+            "--next: is for photos of a scene; a light's trail through one code has an order",
+        ),
         (
             ["--method", "gyro", "--next", "n.json"],
             "--next: needs --method motdiff or pmp for the first photo, and --code after it",
@@ -90,8 +105,69 @@ def test_the_code_of_the_next_photo_is_chosen_and_tells_the_order(cep, photos):
     ],
 )
 def test_options_of_the_next_code_that_do_not_fit_are_refused(cep, photos, arguments, message):
-    assert cep.refuses("calibrate", "open.png", *arguments) == f"cep: {message}\n"
+    assert message in cep.refuses("calibrate", "open.png", *arguments)
     assert not Path("n.json").exists()
+    assert not Path("open_motion").exists()
+
+
+@pytest.fixture
+def known_motion(monkeypatch):
+    """Estimates are the true motion, its order stated with the probability that is set here."""
+    stated = {"probability": 0.5}
+
+    def estimate(photos, **_options):
+        details = {"order_confidence": stated["probability"], "path_uncertainty_px": 0.1}
+        motion = MotionEstimate(
+            "coded", (PATH,), (1.0,), PATH.psf(64), stated["probability"], details=details
+        )
+        return Calibration.of(motion, np.asarray(photos[0]))
+
+    monkeypatch.setattr("cep.calibration.calibrate.estimate_motion", estimate)
+    return stated
+
+
+def test_the_command_after_the_next_photo_keeps_what_was_asked_for(cep, photos, known_motion):
+    options = ("--device", "flc", "--sure", "0.9", "--gamma", "linear", "--seed", "3")
+    cep("calibrate", "open.png", "--next", "a code.json", *options, "--chips", "16")
+    assert cep.code == 0
+    (line,) = (line for line in cep.out.splitlines() if line.startswith("then: "))
+    words = shlex.split(line.removeprefix("then: "))
+    second = capture(SCENE, PATH, read_code("a code.json").code, rng=np.random.default_rng(4))
+    write_image("p2.png", second, bits=16)
+    words[words.index("P2")] = "p2.png"
+    cep(*words[1:])
+    assert cep.code == 0, cep.err
+    (line,) = (line for line in cep.out.splitlines() if line.startswith("then: "))
+    again = shlex.split(line.removeprefix("then: "))
+    for flag, value in zip(options[::2], options[1::2], strict=True):
+        assert again[again.index(flag) + 1] == value
+
+
+def test_once_the_order_is_sure_the_commands_that_follow_run(cep, photos, known_motion):
+    known_motion["probability"] = 0.97
+    two = ("open.png", "coded.png", "--code", "open", "--code", CODES[1])
+    cep("calibrate", *two, "--next", "next.json", "-o", "a motion")
+    assert cep.out.startswith("Take no other photo: "), cep.err
+    assert not Path("next.json").exists()
+    commands = [shlex.split(line)[1:] for line in cep.out.splitlines()[1:3]]
+    trajectory = ["--trajectory", "a motion/trajectory.json"]
+    assert commands[0] == ["cep", "optimize", *trajectory]
+    assert Path(trajectory[1]).exists()
+    assert cep(*commands[1][1:]).code == 0, cep.err
+
+
+def test_a_code_that_cannot_be_chosen_does_not_cost_the_motion(
+    cep, photos, known_motion, monkeypatch
+):
+    def interrupted(*_arguments, **_options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("cep.calibration.next_code.next_code", interrupted)
+    cep("calibrate", "open.png", "--next", "next.json", "-o", "motion")
+    assert cep.code == 130
+    assert read_motion("motion/trajectory.json").trajectory.length_px == pytest.approx(
+        PATH.length_px
+    )
 
 
 @pytest.mark.slow(reason="two searches")

@@ -17,7 +17,7 @@ def test_it_writes_the_codes_and_how_to_use_them(cep):
     )
     assert sorted(found["files"]) == sorted(f"set/{item.name}" for item in Path("set").iterdir())
     stored = json.loads(Path("set/set.json").read_text())
-    assert stored["schema"] == "cep.calibration-set/1"
+    assert stored["schema"] == "cep.calibration-set/2"
     assert stored["command"] == "cep calibrate P1 P2 --code open --code set/code_2.json -o motion"
     assert {name: found[name] for name in stored if name != "schema"} == {
         name: value for name, value in stored.items() if name != "schema"
@@ -26,14 +26,11 @@ def test_it_writes_the_codes_and_how_to_use_them(cep):
     assert Path("again.csv").read_text() == Path("set/code_2.csv").read_text()
 
 
-@pytest.mark.slow  # the search of a set
-def test_people_read_first_what_the_set_resolves(cep):
-    assert (
-        cep("calibration-set", "--photos", 1, "--chips", 8, "--format", "rp2", "-o", "set").code
-        == 0
-    )
-    assert cep.out.startswith("Take 1 photo of the motion, P1 through code_1.json. ")
-    assert "then: cep calibrate P1 --code set/code_1.json -o motion" in cep.out
+def test_people_read_first_what_to_do(cep):
+    cep("calibration-set", "--photos", 2, "--chips", 8, "--format", "rp2", "-o", "set")
+    assert cep.code == 0
+    assert cep.out.startswith("Take 2 photos of the motion, P1 with the shutter open, P2 through ")
+    assert "then: cep calibrate P1 P2 --code open --code set/code_2.json -o motion" in cep.out
     assert Path("set/code_1_rp2.py").is_file()
 
 

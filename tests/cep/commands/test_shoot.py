@@ -156,16 +156,6 @@ def test_a_calibration_takes_photos_through_codes_that_it_chooses(
 
 def test_a_camera_at_rest_has_nothing_to_calibrate(cep, twin, workplace, monkeypatch):
     """What an earlier run left under other names goes."""
-
-    def at_rest(photos, **_options):
-        point = Trajectory.straight(1e-3)
-        details = {"motion_blur": False}
-        warnings = ("The photo shows no motion blur",)
-        motion = MotionEstimate(
-            "oracle", (point,), (1.0,), point.psf(), 0.9, warnings=warnings, details=details
-        )
-        return Calibration.of(motion, photos[0])
-
     monkeypatch.setattr("cep.calibration.closed_loop.estimate_motion", at_rest)
     loop = workplace / "loop"
     loop.mkdir()
@@ -194,20 +184,13 @@ def test_a_photo_that_cannot_be_searched_is_named_and_stays(cep, twin, workplace
     assert (workplace / photo).exists()
 
 
-@pytest.mark.slow(reason="40 CPU-s: the motion is searched in both photos and its order in time")
-def test_a_calibration_set_is_taken_and_calibrated(cep, twin, tmp_path):
-    (tmp_path / "set").mkdir()
+def write_set(folder):
+    """Write a calibration set of an open shutter and CODE."""
+    folder.mkdir()
     bits = ["1" * 16, CODE]
-    separation = {
-        "walks": 1,
-        "length_px": 1,
-        "resolved": 1,
-        "median": 1,
-        "worst_tenth": 1,
-        "conditioning": 1,
-    }
+    contrast = {"walks": 1, "length_px": 1, "walks_told": 1, "median": 1, "worst_tenth": 1}
     document = {
-        "schema": "cep.calibration-set/1",
+        "schema": "cep.calibration-set/2",
         "summary": "",
         "photos": [
             {
@@ -223,9 +206,49 @@ def test_a_calibration_set_is_taken_and_calibrated(cep, twin, tmp_path):
         "chips": 16,
         "chip_ns": 400_000,
         "device": None,
-        "separation": separation,
+        "contrast": contrast,
     }
-    (tmp_path / "set" / "set.json").write_text(json.dumps(document), encoding="utf-8")
+    (folder / "set.json").write_text(json.dumps(document), encoding="utf-8")
+
+
+def at_rest(photos, **_options):
+    """Estimate of photos without motion blur."""
+    point = Trajectory.straight(1e-3)
+    warnings = ("The photo shows no motion blur",)
+    motion = MotionEstimate(
+        "oracle",
+        (point,),
+        (1.0,),
+        point.psf(),
+        0.9,
+        warnings=warnings,
+        details={"motion_blur": False},
+    )
+    return Calibration.of(motion, photos[0])
+
+
+def test_what_the_photos_of_a_set_cannot_show_is_said(cep, twin, tmp_path, monkeypatch):
+    write_set(tmp_path / "set")
+    arguments = ("shoot", "--camera", twin, "--set", "set", "-o", "taken")
+
+    def searched(_photos, **_options):
+        raise ValueError("photo 2: has no texture")
+
+    monkeypatch.setattr("cep.calibration.calibrate.estimate_motion", searched)
+    line = cep.refuses(*arguments)
+    assert "taken/P2.tif: has no texture" in line
+    assert "photos so far: taken/P1.tif, taken/P2.tif" in line
+    monkeypatch.setattr("cep.calibration.calibrate.estimate_motion", at_rest)
+    result = cep.succeeds(*arguments, "--force")
+    assert "The photo shows no motion blur" in result["warnings"]
+    cep(*arguments, "--force")
+    assert cep.out.startswith("The photos show no motion blur: there is nothing to calibrate.")
+    assert "cep optimize" not in cep.out
+
+
+@pytest.mark.slow(reason="40 CPU-s: the motion is searched in both photos and its order in time")
+def test_a_calibration_set_is_taken_and_calibrated(cep, twin, tmp_path):
+    write_set(tmp_path / "set")
     picture = resources.files("cep.photographs") / "pictures" / "raccoon.jpg"
     twin = f"twin:scene={picture}"  # motion is not searched well in blocks
     result = cep.succeeds("shoot", "--camera", twin, "--set", "set", "--linear", 16, "-o", "taken")

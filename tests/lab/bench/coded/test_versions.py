@@ -44,7 +44,7 @@ def test_edits_of_what_finds_a_calibrated_path_count(monkeypatch):
         return real(modules, **others)
 
     monkeypatch.setattr(module, "source_version", watched)
-    versions = {motion_version(kind) for kind in (POINT, "one coded")}
+    versions = {motion_version(kind) for kind in (POINT, "open + one")}
     assert len(versions) == 2
     assert TrailEstimator.__module__ in seen
     assert CodedEstimator.__module__ in seen
