@@ -44,7 +44,6 @@ _NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
         "one-way": ("choi2025motdiff",),
         "posterior": (),
         "both-ways": (),
-        "calibrated-1": _JOINT_FIT,
         "calibrated-2": _JOINT_FIT,
         "calibrated-4": _JOINT_FIT,
         "calibrated-point": ("howie2017",),
