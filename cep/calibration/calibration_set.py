@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.calibration.order_codes import allowed_limits, search_next
+from cep.calibration.order_codes import allowed_limits, search_next, tells_no_direction
 from cep.calibration.order_contrast import TOLD, OrderContrast
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.search.limits import nearest
+from cep.search.sampling import draw
 from hw.device import DeviceProfile
 from hw.export import export_program, find_exporter
 from hw.program import Program
@@ -32,11 +33,12 @@ _SCHEMA = "cep.calibration-set/2"
 _LENGTH_PX = 60.0  # walks that long have 8 orders in the median: enough for a set to fail on
 _DESIGN_WALKS = 32
 _TEST_WALKS = 64  # others than those of the design, which its codes fit too well
+_DRAWN = 64
 _MOST_ORDERS = 6  # of a walk, beside its own
 _ALIKE_PX = 2.0  # orders nearer than this to the walk's, rms, do no harm
 _KNOTS = 53
 _LEAST_CHIPS = 4
-_MOST_CHIPS = 512  # the walks' slices take 0.6 MB a chip
+_MOST_CHIPS = 512  # the walks' slices take 0.8 MB a chip
 _LEAST_PHOTOS = 2
 _MOST_PHOTOS = 8
 _RIGHT = {2: (17, 24)}
@@ -251,7 +253,8 @@ def calibration_set(
     progress(0.0, "simulating walks")
     # the open shutter fixes the path, of which only the order is left to tell
     first = nearest(limits, np.ones(chips, dtype=np.int8))
-    assert first is not None  # as there are codes within the limits
+    if first is None:  # too many chips and openings to be sought among all codes
+        first = max(draw(limits, _DRAWN, rng=rng), key=np.sum)
     design, test = (
         contrast_of_walks(ordered_walks(count, rng=rng), first, chips=chips)
         for count in (_DESIGN_WALKS, _TEST_WALKS)
@@ -271,7 +274,7 @@ def calibration_set(
         codes.append(code)
         design = design.after(code)
         test = test.after(code)
-    if all((code == code[::-1]).all() for code in codes):
+    if tells_no_direction(codes):
         raise ValueError(
             f"chips: every code of {chips} chips within the limits is its own mirror image, which"
             " tells no direction; more or shorter chips would do"

@@ -103,7 +103,9 @@ def calibration_steps(
     if chips < _LEAST_CHIPS:
         raise ValueError(f"chips: must be at least {_LEAST_CHIPS}, got {chips}")
     # refused before a photo is taken
-    check_next((), least_probability=least_probability, chips=chips, chip_ns=chip_ns)
+    check_next(
+        (), least_probability=least_probability, chips=chips, chip_ns=chip_ns, device=device
+    )
     limits, profile = allowed_limits(chips, chip_ns, device)
     code = ShutterCode("1" * chips, chip_ns)
     if not limits.satisfied(np.ones((1, chips), dtype=np.int8))[0]:

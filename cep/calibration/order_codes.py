@@ -96,10 +96,9 @@ def search_next(
 
     def rated(codes: Sequence[Code], contrast: OrderContrast) -> list[_Rating]:
         scores = score(contrast.of(codes)).tolist()
-        longest = [longest_rest([*contrast.codes, code]) for code in codes]
         return [
-            (-max(0, rest_chips - allowed), value)
-            for rest_chips, value in zip(longest, scores, strict=True)
+            (-_lost_chips([*contrast.codes, code], allowed), value)
+            for code, value in zip(codes, scores, strict=True)
         ]
 
     starts = [*_start_codes(limits), *draw(limits, _DRAWN, rng=rng)]
@@ -156,6 +155,17 @@ def gray_planes(planes: int, chips: int) -> Code:
     number = _stretched(np.arange(2**planes), chips)
     # n XOR n / 2 (Gray 1953): neighbouring bins differ in one plane alone
     return np.asarray((number ^ (number >> 1)) >> np.arange(planes)[::-1, None] & 1, dtype=np.int8)
+
+
+def _lost_chips(codes: Sequence[NDArray[Any]], allowed: int) -> int:
+    """Chips at rest beyond those allowed; all more where codes tell no direction."""
+    lost = max(0, longest_rest(np.stack(codes)) - allowed)
+    return lost + tells_no_direction(codes) * len(codes[0])
+
+
+def tells_no_direction(codes: Sequence[NDArray[Any]]) -> bool:
+    """Whether each code is its own mirror image: a path and its reverse then look alike."""
+    return all(np.array_equal(code, code[::-1]) for code in codes)
 
 
 def longest_rest(codes: ArrayLike) -> int:

@@ -266,7 +266,14 @@ def _calibrate_photos(
     lines = _summary(calibration, folder, seconds=seconds, is_coded=codes is not None)
     if options.next_file is not None:
         result["next"] = choice and {"code": options.next_file, **choice.to_dict()}
-        step = next_step(choice, options, sources=sources, estimate=calibration, folder=folder)
+        step = next_step(
+            choice,
+            options,
+            sources=sources,
+            codes=codes or (),
+            estimate=calibration,
+            folder=folder,
+        )
         lines = [*step, *lines]
     if method_options.get("gyro") is not None:
         columns = calibration.details["columns"]

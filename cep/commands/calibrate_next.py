@@ -147,6 +147,7 @@ def next_step(
     options: CalibrateOptions,
     *,
     sources: Sequence[str],
+    codes: Sequence[ShutterCode],
     estimate: MotionEstimate,
     folder: Path,
 ) -> list[str]:
@@ -158,27 +159,30 @@ def next_step(
     photos = list(map(str, options.images))
     if choice is None:
         if estimate.details.get("motion_blur") is False:
-            return ["No code: the photo shows no motion blur."]
+            shows = "photos show" if len(photos) > 1 else "photo shows"
+            return [f"No code: the {shows} no motion blur."]
         trajectory = ["--trajectory", str(folder / "trajectory.json")]
+        optimize = ["cep", "optimize", *trajectory, *_timing(codes)]
+        optimize += _given(("--device", options.device, None))
+        deblur = ["cep", "deblur", *photos, *_codes(sources), *trajectory]
+        deblur += _given(("--gamma", options.gamma, "srgb"))
         return [
             "Take no other photo: the order in time is known with probability"
             f" {estimate.confidence:.2f}; no code is written.",
-            f"then: {join(['cep', 'optimize', *trajectory])}",
-            f"photos: {join(['cep', 'deblur', *photos, *_codes(sources), *trajectory])}",
+            f"then: {join(optimize)}",
+            f"photos: {join(deblur)}",
         ]
     number = len(photos) + 1
     following = target.with_name(f"{target.stem}_{number + 1}.json")
     words = ["cep", "calibrate", *photos, f"P{number}"]
     words += _codes([*(sources or ["open"]), str(target)])
     words += ["--next", str(following), "-o", f"motion_{number}"]
-    for flag, value, default in (
+    words += _given(
         ("--sure", options.least_probability, None),
         ("--device", options.device, None),
         ("--gamma", options.gamma, "srgb"),
         ("--seed", options.seed, 0),
-    ):
-        if value != default:
-            words += [flag, str(value)]
+    )
     return [
         f"Take the next photo of this motion with {target}: {choice.reason}.",
         f"then: {join(words)}",
@@ -187,3 +191,19 @@ def next_step(
 
 def _codes(sources: Sequence[str]) -> list[str]:
     return [word for source in sources for word in ("--code", source)]
+
+
+def _timing(codes: Sequence[ShutterCode]) -> list[str]:
+    """Options of a code that lasts as long as these; an open shutter alone has no chips."""
+    timed = [code for code in codes if code.chips > 1]
+    if not timed:
+        return []
+    exposure = f"{timed[0].duration_ns * 1e-6:g}ms"
+    return ["--chips", str(timed[0].chips), "--exposure", exposure]
+
+
+def _given(*options: tuple[str, object, object]) -> list[str]:
+    """Words of the options (flag, value, default) that are not at their default."""
+    return [
+        word for flag, value, default in options if value != default for word in (flag, str(value))
+    ]

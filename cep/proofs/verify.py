@@ -24,11 +24,11 @@ FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 Vertices = tuple[FloatArray, FloatArray]
 """Times (T,) from 0 to 1, and vertices (T, 2) in px, of a path."""
-_CHUNK = 2**19  # numbers held at once: a few arrays of 8 MB, whatever the budget
+_CHUNK = 2**19  # numbers held at once: a few arrays of 8 MB, of twice as many around a zero
 _SERIES = 1e-3  # rad, below which sinc's slope by its quotient loses six digits or more
 _TOLERANCE = 1e-9  # relative, on both bounds: numbers in a file may have been rounded
 _SAME_PLACE = 1e-9  # cycles or px: as above, of a frequency and of a path
-_MOST_TURNS = 2**21  # points on a circle around a zero, beyond which it is not confirmed
+_MOST_TURNS = 2**20  # points on a circle around a zero, beyond which it is not confirmed
 # |H(-f)| = |H(f)|, as codes are real: half of the circle and of the band is enough
 _CIRCLE = np.array([[0.0, 0.5], [0.0, 0.0]])  # cycles per chip
 _BAND = np.array([[-0.5, 0.5], [0.0, 0.5]])  # cycles/px
@@ -298,6 +298,8 @@ def _encircled(lines: Lines, at: FloatArray, alone_within: float) -> str:
     while radius > 1e-12 and points <= _MOST_TURNS:
         angle = 2 * pi * np.arange(points) / points
         value, _ = lines.look(at + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        if np.abs(value).min() <= lines.slack:  # more points would not help
+            break
         # between two points H moves by less than its size: the phase cannot slip by a turn
         if (np.abs(value) > steepest * pi * radius / points * 1.01 + lines.slack).all():
             steps = np.angle(np.roll(value, -1) / value)

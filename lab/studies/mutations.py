@@ -226,6 +226,8 @@ def main() -> None:
             raise SystemExit("error: the whole suite did not come to its end: fewer at once")
         # some fail under load, or for what this machine lacks
         anyway = set(workplace.failing([], failed, workers=options.workers)) if failed else set()
+        if {"timeout", "interrupted"} & anyway:
+            raise SystemExit("error: the failing tests did not come to their end without faults")
         by_fault = [name for name in failed if name not in anyway]
         for mutation in doubtful:
             own_failed = workplace.failing([mutation], by_fault, first=True) if by_fault else []

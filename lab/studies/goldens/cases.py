@@ -305,8 +305,8 @@ CASES = [
         "cep calibration-set --photos 2 --chips 16 -o set --table set.csv",
     ),
     Case(
-        "calibration-set-one-json",
-        "cep calibration-set --photos 1 --chips 16 --device flc --format c -o set --json",
+        "calibration-set-three-json",
+        "cep calibration-set --photos 3 --chips 16 --device flc --format c -o set --json",
     ),
     Case(
         "calibrate-refined",

@@ -24,12 +24,12 @@ from motdiff.threads import one_thread_a_call
 
 _KERNEL_SHARE = 0.2  # of the time
 _FIT_SHARE = 0.8  # the search of the path
+LARGEST_PROBABILITY = 0.97
+"""More is never stated of an order in time."""
 # how often the path was right, of simulated walks and shakes
 # (docs/decisions/motion-estimation.md): of one photo; of more, where two searches ended at it and
 # where one did, each by how much dearer the next path is: above the one limit, above the other, or
 # below both
-LARGEST_PROBABILITY = 0.97
-"""More is never stated of an order in time."""
 _ONE_PHOTO = 0.05
 _DEARER = (75.0, CLEARLY_DEARER)
 _SHARES_AGREED = (LARGEST_PROBABILITY, 0.85, 0.7)
@@ -98,8 +98,7 @@ class CodedEstimator:
         Parameters
         ----------
         photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
-            Of one size where they show one scene; shifts, up to a quarter of it, and other
-            brightness do not matter.
+            Of one size where they show one scene; they may be shifted, and differ in brightness.
 
         Returns
         -------

@@ -17,6 +17,7 @@ from cep.calibration.calibration_set import (
 from cep.calibration.order_codes import gray_planes
 from cep.codes.sources import load_codes
 from cep.files.code_files import read_code
+from cep.search.limits import Limits
 from hw.device import load_profile
 from hw.export import EXPORTERS
 from hw.program import Program
@@ -81,6 +82,27 @@ def test_the_device_can_play_every_code(device, photos, chip_ns):
     # flashes of a strobe last 33 ms at most, 24 chips of 3 ms last 72 ms: no photo can be open
     # throughout
     assert (found.sources[0] == "open") == (device != "led-strobe")
+
+
+def test_a_shutter_with_one_opening_tells_the_direction():
+    """An opening in the middle leaves the shortest rests, but both directions look alike."""
+    calibration = calibration_set(
+        2, chips=12, chip_ns=10_000_000, device="mechanical", rng=np.random.default_rng(0)
+    )
+    assert calibration.codes[1].bits != calibration.codes[1].bits[::-1]
+    assert (
+        load_profile("mechanical").check(Program(calibration.codes[1].bits, chip_ns=10_000_000))
+        == ()
+    )
+
+
+def test_codes_that_tell_no_direction_are_refused(monkeypatch):
+    limits = Limits(4, (4, 4))
+    monkeypatch.setattr(
+        "cep.calibration.calibration_set.allowed_limits", lambda *_arguments: (limits, None)
+    )
+    with pytest.raises(ValueError, match="chips: every code of 4 chips within the limits is"):
+        calibration_set(2, chips=4, rng=np.random.default_rng(0))
 
 
 def test_files_are_those_that_the_command_reads(pair, tmp_path, monkeypatch):

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from cep.calibration.refine import refine_motion
+from cep.calibration.refine import _stands_alone, refine_motion
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
+from motdiff.estimators.coded.refine import RefinedPath
 from motdiff.estimators.reference.estimator import ReferenceEstimator
 from motdiff.metrics import timed_distance_px
 from motdiff.trajectory import Trajectory
@@ -114,6 +115,25 @@ def test_among_photos_of_different_scenes_the_coded_one_decides_the_order_to_bea
     backwards = Trajectory(PATH.t, PATH.xy).reversed()
     found = refine_motion(photos, codes, backwards, kernels=OfScenes(SCENE, other))
     assert (found.kept, found.misfit) == ("given", None)
+
+
+@pytest.mark.parametrize(
+    ("other_order_cost", "alone"), [(1000.0, True), (101.0, False)], ids=["dearer", "as cheap"]
+)
+def test_only_another_order_that_fits_as_well_leaves_the_direction_open(other_order_cost, alone):
+    """Another fit of the same order, however far, does not."""
+    bend = np.stack([np.linspace(0, 30, 40), np.linspace(0, 3, 40) ** 2], axis=1)
+    path = Trajectory.from_samples(bend, direction="known")
+
+    def refined(given, trajectory, cost):
+        return RefinedPath(given, trajectory, cost, 1.0, 1.0, 1000.0, 0.1)
+
+    fits = [
+        refined(path, path, 100.0),
+        refined(path, Trajectory.from_samples(1.3 * bend, direction="known"), 101.0),
+        refined(path.reversed(), path.reversed(), other_order_cost),
+    ]
+    assert _stands_alone(fits, least_gain=10.0) == alone
 
 
 def test_codes_of_different_speeds_are_refused():

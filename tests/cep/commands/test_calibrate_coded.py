@@ -146,12 +146,15 @@ def test_the_command_after_the_next_photo_keeps_what_was_asked_for(cep, photos, 
 def test_once_the_order_is_sure_the_commands_that_follow_run(cep, photos, known_motion):
     known_motion["probability"] = 0.97
     two = ("open.png", "coded.png", "--code", "open", "--code", CODES[1])
-    cep("calibrate", *two, "--next", "next.json", "-o", "a motion")
+    more = ("--gamma", "linear", "--device", "flc")
+    cep("calibrate", *two, "--next", "next.json", "-o", "a motion", *more)
     assert cep.out.startswith("Take no other photo: "), cep.err
     assert not Path("next.json").exists()
     commands = [shlex.split(line)[1:] for line in cep.out.splitlines()[1:3]]
     trajectory = ["--trajectory", "a motion/trajectory.json"]
-    assert commands[0] == ["cep", "optimize", *trajectory]
+    timed = ["--chips", "16", "--exposure", "16ms", "--device", "flc"]
+    assert commands[0] == ["cep", "optimize", *trajectory, *timed]
+    assert commands[1][-2:] == ["--gamma", "linear"]
     assert Path(trajectory[1]).exists()
     assert cep(*commands[1][1:]).code == 0, cep.err
 
