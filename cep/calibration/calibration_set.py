@@ -104,8 +104,8 @@ class CalibrationSet:
         if count in _RIGHT:
             right, motions = _RIGHT[count]
             measured = (
-                f" So many photos told the order of {right} of {motions} motions, simulated on"
-                " photographs."
+                f" So many photos, of 52 chips, told the order of {right} of {motions} motions,"
+                " simulated on photographs."
             )
         return f"Take {count} photos of the motion, {steps}.{measured}"
 
