@@ -3,10 +3,10 @@
     python -m lab.studies.mutations [--count 30] [--seed 1] [--workers 2]
 
 In a clone of the last commit one operator of a line is exchanged (`<` and `>`, `+` and `-`, `and`
-and `or`, ...), in one room after the other. The tests that mirror the module are run for each
-mutation; those that these do not notice are all put in together, and each is noticed if a test
-that then fails in the whole quick suite fails for it alone. A mutation that changes nothing that
-matters counts as unnoticed.
+and `or`, ...), in one room after the other. The tests that mirror the module and its doctests are
+run for each mutation; those that these do not notice are all put in together, and each is noticed
+if a test that then fails in the whole quick suite of the product fails for it alone. A mutation
+that changes nothing that matters counts as unnoticed.
 """
 
 from __future__ import annotations
@@ -211,17 +211,17 @@ def main() -> None:
         doubtful = []
         for mutation in mutations:
             tests = mirroring(root, mutation.module)
-            failed = (
-                [] if tests is None else workplace.failing([mutation], [str(tests)], first=True)
+            failed = workplace.failing(
+                [mutation],
+                list(map(str, filter(None, [tests, mutation.module]))),  # its doctests too
+                first=True,
             )
             print(f"{mutation}: {failed[0] if failed else f'not by {tests}'}", flush=True)
             if not failed:
                 doubtful.append(mutation)
         noticed = len(mutations) - len(doubtful)
         print(f"\n{noticed} of {len(mutations)} noticed by the tests that mirror them", flush=True)
-        failed = (
-            workplace.failing(doubtful, ["tests"], workers=options.workers) if doubtful else []
-        )
+        failed = workplace.failing(doubtful, [], workers=options.workers) if doubtful else []
         if {"timeout", "interrupted"} & set(failed):
             raise SystemExit("error: the whole suite did not come to its end: fewer at once")
         # some fail under load, or for what this machine lacks
