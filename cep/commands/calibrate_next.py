@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from cep.commands.code_options import STANDARD_CHIPS, Device
+from cep.commands.console import printed_command
 from cep.commands.options import option
 
 if TYPE_CHECKING:
@@ -152,58 +153,48 @@ def next_step(
     folder: Path,
 ) -> list[str]:
     """Say what to do now: the next photo and the command after it, or that none is needed."""
-    from shlex import join
-
     target = options.next_file
     assert target is not None
+    gamma = options.gamma if options.gamma != "srgb" else None
     photos = list(map(str, options.images))
     if choice is None:
         if estimate.details.get("motion_blur") is False:
             shows = "photos show" if len(photos) > 1 else "photo shows"
             return [f"No code: the {shows} no motion blur."]
-        trajectory = ["--trajectory", str(folder / "trajectory.json")]
-        optimize = ["cep", "optimize", *trajectory, *_timing(codes)]
-        optimize += _given(("--device", options.device, None))
-        deblur = ["cep", "deblur", *photos, *_codes(sources), *trajectory]
-        deblur += _given(("--gamma", options.gamma, "srgb"))
+        trajectory = folder / "trajectory.json"
+        timed = [code for code in codes if code.chips > 1]  # an open shutter has no chips
+        optimize = printed_command(
+            "cep",
+            "optimize",
+            trajectory=trajectory,
+            chips=timed[0].chips if timed else None,
+            exposure=f"{timed[0].duration_ns * 1e-6:g}ms" if timed else None,
+            device=options.device,
+        )
+        deblur = printed_command(
+            "cep", "deblur", *photos, code=list(sources), trajectory=trajectory, gamma=gamma
+        )
         return [
             "Take no other photo: the order in time is known with probability"
             f" {estimate.confidence:.2f}; no code is written.",
-            f"then: {join(optimize)}",
-            f"photos: {join(deblur)}",
+            f"then: {optimize}",
+            f"photos: {deblur}",
         ]
     number = len(photos) + 1
-    following = target.with_name(f"{target.stem}_{number + 1}.json")
-    words = ["cep", "calibrate", *photos, f"P{number}"]
-    words += _codes([*(sources or ["open"]), str(target)])
-    words += ["--next", str(following), "-o", f"motion_{number}"]
-    words += _given(
-        ("--sure", options.least_probability, None),
-        ("--device", options.device, None),
-        ("--gamma", options.gamma, "srgb"),
-        ("--seed", options.seed, 0),
+    calibrate = printed_command(
+        "cep",
+        "calibrate",
+        *photos,
+        f"P{number}",
+        code=[*(sources or ["open"]), target],
+        next=target.with_name(f"{target.stem}_{number + 1}.json"),
+        o=f"motion_{number}",
+        sure=options.least_probability,
+        device=options.device,
+        gamma=gamma,
+        seed=options.seed or None,
     )
     return [
         f"Take the next photo of this motion with {target}: {choice.reason}.",
-        f"then: {join(words)}",
-    ]
-
-
-def _codes(sources: Sequence[str]) -> list[str]:
-    return [word for source in sources for word in ("--code", source)]
-
-
-def _timing(codes: Sequence[ShutterCode]) -> list[str]:
-    """Options of a code that lasts as long as these; an open shutter alone has no chips."""
-    timed = [code for code in codes if code.chips > 1]
-    if not timed:
-        return []
-    exposure = f"{timed[0].duration_ns * 1e-6:g}ms"
-    return ["--chips", str(timed[0].chips), "--exposure", exposure]
-
-
-def _given(*options: tuple[str, object, object]) -> list[str]:
-    """Words of the options (flag, value, default) that are not at their default."""
-    return [
-        word for flag, value, default in options if value != default for word in (flag, str(value))
+        f"then: {calibrate}",
     ]

@@ -195,6 +195,25 @@ def lines_of(program: str) -> Iterator[None]:
         _program = outer
 
 
+def printed_command(*words: object, **options: object) -> str:
+    """Write a command that can be pasted; options that are None are left out.
+
+    Examples
+    --------
+    >>> printed_command("cep", "deblur", "a b.png", code=["open", "c.json"], gamma=None, o="x.png")
+    "cep deblur 'a b.png' --code open --code c.json -o x.png"
+    """
+    from shlex import join
+
+    line = list(map(str, words))
+    for name, value in options.items():
+        flag = f"--{name}" if len(name) > 1 else f"-{name}"
+        for item in value if isinstance(value, list) else [value]:
+            if item is not None:
+                line += [flag, str(item)]
+    return join(line)
+
+
 def warn(message: str) -> None:
     """Print one warning line on stderr."""
     announce(f"warning: {message}")

@@ -18,7 +18,7 @@ from cep.commands.code_options import (
     openings,
     saved_on_interrupt,
 )
-from cep.commands.console import Page, Table, announce, finish, progress
+from cep.commands.console import Page, Table, announce, finish, printed_command, progress
 from cep.commands.options import MOTION, CommonOptions, MotionOptions, command, option
 
 if TYPE_CHECKING:
@@ -198,8 +198,6 @@ def optimize(options: OptimizeOptions) -> None:
 
 def _page(best: OptimizedCode, options: OptimizeOptions) -> Page:
     """Lay a search and its comparison out for people."""
-    from shlex import join
-
     from cep.files.formatting import duration, number
     from cep.search.chip_count import in_words_of_chips
 
@@ -233,13 +231,15 @@ def _page(best: OptimizedCode, options: OptimizeOptions) -> Page:
     if best.complement:
         yield "both cameras, restored together; min MTF: root of the mean of both |H|^2, sampled"
         complement = f"complement:{file}"
-        yield f"one camera: {join(['cep', 'export', file])} -f FORMAT; the other: {complement}"
-        words = ["cep", "deblur", "a.png", "b.png", "--code", file, "--code", complement]
-        if options.trajectory is not None:
-            words += ["--trajectory", str(options.trajectory)]
-        elif options.linear is not None:
-            words += ["--linear", f"{options.linear:g}"]
-        yield f"photos: {join(words)}"
+        exported = printed_command("cep", "export", file)
+        yield f"one camera: {exported} -f FORMAT; the other: {complement}"
+        restored = printed_command(
+            *("cep", "deblur", "a.png", "b.png"),
+            code=[file, complement],
+            trajectory=options.trajectory,
+            linear=None if options.linear is None else f"{options.linear:g}",
+        )
+        yield f"photos: {restored}"
     if best.certificate:
         yield (
             f"certified: min {modulus} lies within "

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from cep.commands.code_options import exposure_seconds
-from cep.commands.console import announce, finish, progress
+from cep.commands.console import announce, finish, printed_command, progress
 from cep.commands.options import (
     ChipNs,
     Force,
@@ -218,15 +218,13 @@ def shoot(options: ShootOptions) -> None:
 
 def _photos(options: ShootOptions) -> None:
     """Take one photo, or several of one code."""
-    from shlex import join
-
     code = options.load_code()
     stems = ["photo"]
     if options.repeat > 1:
         stems = [f"photo_{number:03d}" for number in range(1, options.repeat + 1)]
     photos = take_photos(options, [code], stems, count=options.repeat)
     restored = None
-    following = f"then: {join(['cep', 'deblur', str(photos.files[0])])}"
+    following = f"then: {printed_command('cep', 'deblur', photos.files[0])}"
     if options.has_motion and photos.shots[0].counts:
         with progress("restoring") as tick:
             photos.restore(tick)
