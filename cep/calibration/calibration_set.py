@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.calibration.order_codes import allowed_limits, search_next, tells_no_direction
-from cep.calibration.order_contrast import TOLD, OrderContrast
+from cep.calibration.order_contrast import ALIKE_PX, ORDER_KNOTS, TOLD, OrderContrast
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.search.limits import nearest
@@ -24,6 +24,7 @@ from motdiff.estimators.coded.starts import orders
 from motdiff.files.inputs import one_line
 from motdiff.files.json_files import fault, json_text, load_schema, read_versioned
 from motdiff.files.outputs import new_folder, write_text
+from motdiff.metrics import rms_distance_px
 from motdiff.motions import boracchi_foi
 from motdiff.types import FloatArray
 
@@ -35,8 +36,6 @@ _DESIGN_WALKS = 32
 _TEST_WALKS = 64  # others than those of the design, which its codes fit too well
 _DRAWN = 64
 _MOST_ORDERS = 6  # of a walk, beside its own
-_ALIKE_PX = 2.0  # orders nearer than this to the walk's, rms, do no harm
-_KNOTS = 53
 _LEAST_CHIPS = 4
 _MOST_CHIPS = 512  # the walks' slices take 0.8 MB a chip
 _LEAST_PHOTOS = 2
@@ -66,6 +65,20 @@ class Contrast:
     walks_told: int
     median: float
     worst_tenth: float
+
+    @classmethod
+    def of(cls, contrast: OrderContrast) -> Contrast:
+        """Measure it by the photos taken, of :func:`contrast_of_walks`."""
+        chi_squares = contrast.taken()
+        walk_starts = np.flatnonzero(np.diff(contrast.pairs[0], prepend=-1))
+        least_chi_squares = np.minimum.reduceat(chi_squares, walk_starts)
+        return cls(
+            walks=len(walk_starts),
+            length_px=_LENGTH_PX,
+            walks_told=int((least_chi_squares > TOLD).sum()),
+            median=float(np.median(chi_squares)),
+            worst_tenth=float(np.quantile(chi_squares, 0.1)),
+        )
 
 
 @dataclass(frozen=True)
@@ -260,17 +273,13 @@ def calibration_set(
         for count in (_DESIGN_WALKS, _TEST_WALKS)
     )
     codes = [first]
+
+    def tick(share: float) -> None:
+        searched = (len(codes) - 1 + share) / (photos - 1)
+        progress(0.1 + 0.85 * searched, "searching codes")
+
     while len(codes) < photos:
-        start = 0.1 + 0.85 * (len(codes) - 1) / (photos - 1)
-        code, _ = search_next(
-            design,
-            limits,
-            score=_harmonic_mean,
-            rng=rng,
-            progress=lambda share, start=start: progress(  # type: ignore[misc]
-                start + 0.85 * share / (photos - 1), "searching codes"
-            ),
-        )
+        code, _ = search_next(design, limits, score=_harmonic_mean, rng=rng, progress=tick)
         codes.append(code)
         design = design.after(code)
         test = test.after(code)
@@ -280,19 +289,8 @@ def calibration_set(
             " tells no direction; more or shorter chips would do"
         )
     progress(0.95, "measuring")
-    chi_squares = test.taken()
-    walk_starts = np.flatnonzero(np.diff(test.pairs[0], prepend=-1))
-    least_chi_squares = np.minimum.reduceat(chi_squares, walk_starts)
     return CalibrationSet(
-        tuple(ShutterCode(code, chip_ns) for code in codes),
-        Contrast(
-            walks=_TEST_WALKS,
-            length_px=_LENGTH_PX,
-            walks_told=int((least_chi_squares > TOLD).sum()),
-            median=float(np.median(chi_squares)),
-            worst_tenth=float(np.quantile(chi_squares, 0.1)),
-        ),
-        device,
+        tuple(ShutterCode(code, chip_ns) for code in codes), Contrast.of(test), device
     )
 
 
@@ -316,10 +314,8 @@ def ordered_walks(count: int, *, rng: np.random.Generator) -> list[FloatArray]:
     """Draw walks (N, 53, 2), px: a walk, its reverse and up to five other orders of its loops."""
     walks = []
     for _ in range(count):
-        walk = orders(boracchi_foi(rng, max_length_px=_LENGTH_PX), knots=_KNOTS, count=64)
-        apart = walk[2:] - walk[0]
-        apart = apart - apart.mean(axis=1, keepdims=True)  # a shift of all of it does no harm
-        altered = 2 + np.flatnonzero(np.sqrt((apart**2).sum(axis=2).mean(axis=1)) >= _ALIKE_PX)
+        walk = orders(boracchi_foi(rng, max_length_px=_LENGTH_PX), knots=ORDER_KNOTS, count=64)
+        altered = [k for k in range(2, len(walk)) if rms_distance_px(walk[k], walk[0]) >= ALIKE_PX]
         chosen = rng.permutation(altered)[: _MOST_ORDERS - 1]
         walks.append(walk[[0, 1, *chosen]])
     return walks

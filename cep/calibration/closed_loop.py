@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.calibration.calibrate import Calibration, estimate_motion
-from cep.calibration.next_code import SURE, NextCode, check_next, is_sure, next_code
-from cep.calibration.order_codes import allowed_limits
+from cep.calibration.next_code import SURE, NextCode, is_sure, next_code, next_limits
 from cep.optics.code import ShutterCode
 from hw.device import DeviceProfile
 
@@ -103,10 +102,9 @@ def calibration_steps(
     if chips < _LEAST_CHIPS:
         raise ValueError(f"chips: must be at least {_LEAST_CHIPS}, got {chips}")
     # refused before a photo is taken
-    check_next(
+    limits, profile = next_limits(
         (), least_probability=least_probability, chips=chips, chip_ns=chip_ns, device=device
     )
-    limits, profile = allowed_limits(chips, chip_ns, device)
     code = ShutterCode("1" * chips, chip_ns)
     if not limits.satisfied(np.ones((1, chips), dtype=np.int8))[0]:
         assert profile is not None

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.calibration.order_codes import allowed_limits, search_next
-from cep.calibration.order_contrast import TOLD, OrderContrast, SceneLight
+from cep.calibration.order_contrast import ALIKE_PX, ORDER_KNOTS, TOLD, OrderContrast, SceneLight
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
+from cep.search.limits import Limits
 from hw.device import DeviceProfile
 from motdiff.crops import luminance
 from motdiff.estimators.base import MotionEstimate
@@ -26,9 +27,7 @@ from motdiff.types import FloatArray
 SURE = 0.95
 """Probability of an order from which no other photo is needed."""
 
-_KNOTS = 53
 _MOST_ORDERS = 40
-_ALIKE_PX = 2.0  # orders nearer than this, rms, do no harm
 
 
 @dataclass(frozen=True)
@@ -124,14 +123,14 @@ def next_code(
     ValueError
         If the device can play no such code, or ``least_probability`` is out of range.
     """
-    check_next(
+    limits, profile = next_limits(
         codes, least_probability=least_probability, chips=chips, chip_ns=chip_ns, device=device
     )
     if is_sure(estimate, codes, least_probability=least_probability):
         return None
-    timed = _timed(codes)
-    chips, chip_ns = _timing(codes, chips, chip_ns)
-    limits, profile = allowed_limits(chips, chip_ns, device)
+    timed = timed_codes(codes)
+    chips = limits.chips
+    chip_ns = timed[0].chip_ns if timed else chip_ns
     scene = SceneLight.of(luminance(photos[0]), estimate.best)
     photo_codes = [code.array for code in timed] or [np.ones(chips)]
     paths, explaining = open_orders(estimate.trajectories)
@@ -149,32 +148,32 @@ def next_code(
     )
 
 
-def check_next(
+def next_limits(
     codes: Sequence[ShutterCode],
     *,
     least_probability: float = SURE,
     chips: int = 52,
     chip_ns: int = 1_000_000,
     device: DeviceProfile | str | None = None,
-) -> None:
-    """Refuse, before the motion is estimated, what :func:`next_code` would refuse after it."""
+) -> tuple[Limits, DeviceProfile | None]:
+    """Return the limits of the next code, and the device's profile.
+
+    Called before the motion is estimated, it refuses what :func:`next_code` would refuse after it.
+    """
     if not 0 <= least_probability <= LARGEST_PROBABILITY:
         raise ValueError(
             f"least_probability: must be within 0..{LARGEST_PROBABILITY}, the largest that is"
             f" stated, got {least_probability:g}"
         )
-    allowed_limits(*_timing(codes, chips, chip_ns), device)
+    timed = timed_codes(codes)
+    if timed:
+        chips, chip_ns = timed[0].chips, timed[0].chip_ns
+    return allowed_limits(chips, chip_ns, device)
 
 
-def _timed(codes: Sequence[ShutterCode]) -> list[ShutterCode]:
+def timed_codes(codes: Sequence[ShutterCode]) -> list[ShutterCode]:
     """Codes with chips, which an open shutter alone has not."""
     return [code for code in codes if code.chips > 1]
-
-
-def _timing(codes: Sequence[ShutterCode], chips: int, chip_ns: int) -> tuple[int, int]:
-    """Chips and chip time of photos' codes, those given where they do not say."""
-    timed = _timed(codes)
-    return (timed[0].chips, timed[0].chip_ns) if timed else (chips, chip_ns)
 
 
 def is_sure(
@@ -200,7 +199,7 @@ def open_orders(paths: Sequence[Trajectory]) -> tuple[FloatArray, int]:
     count : int
         How many of them are paths themselves.
     """
-    listed = [orders(path, knots=_KNOTS, count=_MOST_ORDERS) for path in paths]
+    listed = [orders(path, knots=ORDER_KNOTS, count=_MOST_ORDERS) for path in paths]
     themselves = _distinct([order[0] for order in listed])
     distinct = _distinct([*themselves, *(path for order in listed for path in order[1:])])
     if len(distinct) == 1:  # shorter than that: its reverse is the one question left
@@ -213,9 +212,11 @@ def _distinct(paths: Sequence[FloatArray]) -> list[FloatArray]:
     distinct: list[FloatArray] = []
     for path in paths:
         centred = path - path.mean(axis=0)
-        if all(rms_distance_px(centred, chosen_path) > _ALIKE_PX for chosen_path in distinct):
+        if all(rms_distance_px(centred, chosen_path) > ALIKE_PX for chosen_path in distinct):
             distinct.append(centred)
-    return distinct[:_MOST_ORDERS]
+        if len(distinct) == _MOST_ORDERS:
+            break
+    return distinct
 
 
 def survivors(contrast: OrderContrast, count: int) -> NDArray[np.intp]:

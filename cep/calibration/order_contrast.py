@@ -18,6 +18,10 @@ ComplexArray = NDArray[np.complex64]
 
 TOLD = 400.0
 """Chi-square beyond which photos rule an order out, errors of the model too."""
+ALIKE_PX = 2.0
+"""Rms distance below which taking one order for another does no harm."""
+ORDER_KNOTS = 53
+"""Positions of an order, at evenly spaced times."""
 
 _BAND_CY_PX = 0.2  # beyond it, blurred photos hold little but noise
 _STEPS = 10  # frequencies from 0 to the band's end: 1 / 50 cycles/px apart

@@ -105,9 +105,9 @@ class NextOptions:
     def check_code(self, codes: Sequence[ShutterCode]) -> None:
         """Refuse a next code that cannot be, where one is asked for."""
         if self.next_file is not None:
-            from cep.calibration.next_code import check_next
+            from cep.calibration.next_code import next_limits
 
-            check_next(codes, **self._given())
+            next_limits(codes, **self._given())
 
     def _given(self) -> dict[str, Any]:
         """Return the settings of the next code that are given, by their names in Python."""
@@ -162,15 +162,7 @@ def next_step(
             shows = "photos show" if len(photos) > 1 else "photo shows"
             return [f"No code: the {shows} no motion blur."]
         trajectory = folder / "trajectory.json"
-        timed = [code for code in codes if code.chips > 1]  # an open shutter has no chips
-        optimize = printed_command(
-            "cep",
-            "optimize",
-            trajectory=trajectory,
-            chips=timed[0].chips if timed else None,
-            exposure=f"{timed[0].duration_ns * 1e-6:g}ms" if timed else None,
-            device=options.device,
-        )
+        optimize = optimize_command(trajectory, codes, device=options.device)
         deblur = printed_command(
             "cep", "deblur", *photos, code=list(sources), trajectory=trajectory, gamma=gamma
         )
@@ -198,3 +190,17 @@ def next_step(
         f"Take the next photo of this motion with {target}: {choice.reason}.",
         f"then: {calibrate}",
     ]
+
+
+def optimize_command(trajectory: Path, codes: Sequence[ShutterCode], **options: object) -> str:
+    """Write the search of a code for a motion, as long as the codes that it was found through."""
+    from cep.calibration.next_code import timed_codes
+
+    timed = timed_codes(codes)
+    return printed_command(
+        *("cep", "optimize"),
+        trajectory=trajectory,
+        chips=timed[0].chips if timed else None,
+        exposure=f"{timed[0].duration_ns * 1e-6:g}ms" if timed else None,
+        **options,
+    )

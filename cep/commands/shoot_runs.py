@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from cep.commands.console import FAILURE, announce, finish, printed_command, progress
+from cep.commands.calibrate_next import optimize_command
+from cep.commands.console import FAILURE, announce, finish, progress
 from cep.commands.errors import with_photo_file
 
 if TYPE_CHECKING:
@@ -117,18 +118,11 @@ def _motion_lines(
     if not _moves(calibration):
         shows = "photos show" if len(codes) > 1 else "photo shows"
         return [f"The {shows} no motion blur: there is nothing to calibrate."]
-    command = printed_command(
-        *("cep", "optimize"),
-        trajectory=trajectory,
-        chips=codes[0].chips,
-        exposure=f"{codes[0].duration_ns * 1e-6:g}ms",
-        o="code.json",
-    )
     return [
         f"{trajectory.parent}: path of {calibration.best.length_px:.1f} px from"
         f" {len(codes)} photos, in this order in time with probability"
         f" {calibration.confidence:.2f}",
-        f"then: {command}",
+        f"then: {optimize_command(trajectory, codes, o='code.json')}",
     ]
 
 

@@ -10,8 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.calibration.calibration_set import contrast_of_walks, ordered_walks
-from cep.calibration.order_contrast import TOLD
+from cep.calibration.calibration_set import Contrast, contrast_of_walks, ordered_walks
 from lab.bench.coded.calibrations import codes_of_set
 from lab.studies.inputs import study_parser
 from motdiff.types import FloatArray
@@ -42,20 +41,12 @@ def codes_of(name: str, rng: np.random.Generator) -> list[ArrayLike]:
     return [np.ones(CHIPS), *(rng.random((count, CHIPS)).argsort(axis=1) < CHIPS // 2)]
 
 
-def figures(walks: Sequence[FloatArray], codes: Sequence[ArrayLike]) -> tuple[float, float, float]:
-    """Share of the walks that are told, median chi-square and that of the worst tenth."""
+def contrast_through(walks: Sequence[FloatArray], codes: Sequence[ArrayLike]) -> Contrast:
+    """Contrast of the walks' orders in photos through all codes of a set."""
     contrast = contrast_of_walks(walks, codes[0], chips=CHIPS)
     for code in codes[1:]:
         contrast = contrast.after(code)
-    chi_squares = contrast.taken()
-    least_chi_squares = [
-        chi_squares[contrast.pairs[0] == walk].min() for walk in np.unique(contrast.pairs[0])
-    ]
-    return (
-        float(np.mean(np.array(least_chi_squares) > TOLD)),
-        float(np.median(chi_squares)),
-        float(np.quantile(chi_squares, 0.1)),
-    )
+    return Contrast.of(contrast)
 
 
 if __name__ == "__main__":
@@ -64,6 +55,9 @@ if __name__ == "__main__":
     print("| codes | walks told | chi-square, median | worst tenth |\n|---|---:|---:|---:|")
     for name in SETS:
         sets = RANDOM_SETS if "random" in name else 1
-        rows = [figures(walks, codes_of(name, np.random.default_rng(k))) for k in range(sets)]
+        measured = [
+            contrast_through(walks, codes_of(name, np.random.default_rng(k))) for k in range(sets)
+        ]
+        rows = [(c.walks_told / c.walks, c.median, c.worst_tenth) for c in measured]
         share, median, tenth = np.mean(rows, axis=0)
         print(f"| {name} | {share:.2f} | {median:,.0f} | {tenth:,.0f} |", flush=True)

@@ -5,8 +5,8 @@ import pytest
 
 from cep.calibration.next_code import (
     NextCode,
-    check_next,
     next_code,
+    next_limits,
     open_orders,
     survivors,
 )
@@ -133,7 +133,7 @@ def test_paths_nearly_alike_count_once_among_those_that_explain_the_photos():
 )
 def test_what_no_next_code_can_be_is_refused_before_the_search(options, named):
     with pytest.raises(ValueError, match=named):
-        check_next((), **options)
+        next_limits((), **options)
 
 
 def test_the_next_code_can_be_played_and_comes_back_from_its_file(tmp_path):
