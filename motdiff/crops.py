@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import combinations
 from typing import Any
 
@@ -94,6 +95,16 @@ def exposure_gain(photo: ArrayLike) -> float:
     """
     gain = _FULL / max(float(np.max(photo, initial=0.0)), _DARKEST)
     return 1.0 if gain < _LEAST_GAIN else gain
+
+
+@contextmanager
+def numbered_photo(number: int, *, count: int) -> Iterator[None]:
+    """Let an error about a photo begin with ``photo:``, of several with its number."""
+    try:
+        yield
+    except ValueError as error:
+        name = "photo" if count == 1 else f"photo {number}"
+        raise ValueError(f"{name}: {str(error).removeprefix('photo: ')}") from None
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:

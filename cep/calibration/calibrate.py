@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.calibration.photo_checks import (
-    check_all,
     check_apart,
-    check_number,
+    check_method_photos,
     check_texture,
     check_times,
 )
@@ -236,8 +235,7 @@ def estimate_motion(
         reference = f"method={label!r}" if isinstance(method, str) else "an estimator of your own"
         raise ValueError(f"{set_options[0]}: not valid with {reference}")
     if isinstance(method, Method):
-        check_number(photos, method)
-        check_all(photos, method)
+        check_method_photos(photos, method)
         estimator = method.load(seed=seed, progress=progress)
         is_together = hasattr(estimator, "estimate_from")
     else:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
-from motdiff.crops import check_size
+from motdiff.crops import check_size, numbered_photo
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.method import Method
 from motdiff.estimators.registry import METHODS, blind_methods
@@ -17,9 +17,20 @@ from motdiff.estimators.registry import METHODS, blind_methods
 _LEAST_CONTRAST = 2 / 255  # two steps of 8 bit: rounding alone makes one
 
 
-def check_number(photos: Sequence[ArrayLike], method: Method) -> None:
-    """Refuse photos that are more than the method takes, or not as many as its codes."""
+def check_method_photos(photos: Sequence[ArrayLike], method: Method) -> None:
+    """Refuse photos that the method cannot search, before anything slow is loaded.
+
+    Raises
+    ------
+    ValueError
+        If there are more than the method takes, or not as many as its codes, or as of
+        :func:`check_photos`.
+    """
     codes: tuple[str, ...] | None = getattr(method, "codes", None)
+    if codes is None and len(photos) == 1:
+        check_size(photos[0], least_px=method.smallest_px)
+        check_texture(photos[0])
+        return
     if codes is not None:
         # a stack of three photos would pass for one in colour
         if len(photos) == 1 < len(codes) and np.ndim(photos[0]) >= 3:
@@ -27,20 +38,12 @@ def check_number(photos: Sequence[ArrayLike], method: Method) -> None:
                 "photo: give the photos of several codes as a list or tuple, not as one array"
             )
         check_codes(codes, photos=len(photos))
-    elif len(photos) > 1 and not method.is_blind:
+    elif not method.is_blind:
         raise ValueError(
             f"method: {method.name} takes one photo; several of one motion go with"
             f" {' or '.join(blind_methods())}"
         )
-
-
-def check_all(photos: Sequence[ArrayLike], method: Method) -> None:
-    """Refuse photos that the method cannot search, before anything slow is loaded."""
-    if len(photos) == 1 and getattr(method, "codes", None) is None:
-        check_photo(photos[0], method.name)
-        return
     check_photos(photos, method.name)
-    check_apart(photos)
 
 
 def check_apart(photos: Sequence[ArrayLike]) -> None:
@@ -72,26 +75,14 @@ def check_times(codes: Sequence[ShutterCode]) -> None:
             )
 
 
-def check_photo(photo: ArrayLike, method: str) -> None:
-    """Refuse a photo that is too small for a method, or without texture.
+def check_photos(photos: Sequence[ArrayLike], method: str) -> None:
+    """Refuse a photo that is too small for a method, without texture, or given twice.
 
     Parameters
     ----------
-    photo : (H, W) or (H, W, 3) array_like, linear light 0..1
+    photos : sequence of (H, W) or (H, W, 3) array_like, linear light 0..1
     method : str
         Name of a registered method.
-
-    Raises
-    ------
-    ValueError
-        If a side is too short, or the photo is constant, black or white.
-    """
-    check_size(photo, least_px=METHODS[method].smallest_px)
-    check_texture(photo)
-
-
-def check_photos(photos: Sequence[ArrayLike], method: str) -> None:
-    """Check each of several photos as :func:`check_photo` does.
 
     Raises
     ------
@@ -99,14 +90,11 @@ def check_photos(photos: Sequence[ArrayLike], method: str) -> None:
         Beginning with ``photo:``, where there are several with ``photo 2:``, what is wrong with
         it.
     """
-    names = ["photo"]
-    if len(photos) > 1:
-        names = [f"photo {i}" for i in range(1, len(photos) + 1)]
-    for name, photo in zip(names, photos, strict=True):
-        try:
-            check_photo(photo, method)
-        except ValueError as error:
-            raise ValueError(f"{name}: {str(error).removeprefix('photo: ')}") from None
+    for number, photo in enumerate(photos, 1):
+        with numbered_photo(number, count=len(photos)):
+            check_size(photo, least_px=METHODS[method].smallest_px)
+            check_texture(photo)
+    check_apart(photos)
 
 
 def check_texture(photo: ArrayLike) -> None:

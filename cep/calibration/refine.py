@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cep.calibration.photo_checks import check_apart, check_photos, check_times
+from cep.calibration.photo_checks import check_photos, check_times
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.optics.path_limits import check_resolved
@@ -123,7 +123,6 @@ def refine_motion(
     check_times(codes)
     check_resolved(trajectory, codes[0].chips)
     check_photos(photos, "coded")
-    check_apart(photos)
     progress(0.01, "loading torch")
     # explicitly, so that its seconds are under that note
     import_module("torch")

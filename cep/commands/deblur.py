@@ -285,7 +285,7 @@ def _restored_together(
     tick: Tick,
 ) -> Restoration:
     """Restore one scene from several photos of one motion, each through its own code."""
-    from cep.calibration.photo_checks import check_apart, check_photos, check_times
+    from cep.calibration.photo_checks import check_photos, check_times
     from cep.files.shot_files import stated_motion
     from cep.optics.path_limits import check_resolved
     from cep.restoration.together import restore_together
@@ -306,7 +306,6 @@ def _restored_together(
         check_resolved(trajectory, codes[0].chips)
     pixels = [photo.pixels for photo in photos]
     check_photos(pixels, "coded")
-    check_apart(pixels)
     return restore_together(
         pixels,
         codes,

@@ -14,13 +14,19 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.optics.straight_motion import uniform_length_px
 from cep.restoration.blur import channels_first, trimmed_psf
-from cep.restoration.choice import choose_method, is_possible_light, restore_with_estimate
+from cep.restoration.choice import (
+    MethodChoice,
+    choose_method,
+    is_possible_light,
+    restore_with_estimate,
+)
 from cep.restoration.clipping import clipped_warnings, fill_clipped
 from cep.restoration.direction import detect_direction
 from cep.restoration.registry import find_method, registered_method
 from cep.restoration.result import Restoration, misfit
 from cep.restoration.sharpen import LEAST_CONFIDENCE, sharpen
 from motdiff.crops import clipped_mask, exposure_gain
+from motdiff.estimators.registry import METHODS as ESTIMATORS
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -98,18 +104,23 @@ def restore(
     >>> sharp.image.shape, sharp.method
     ((70, 70), 'pnp')
     """
-    if method == "auto":
-        if unknown := sorted(set(options) - {"camera"}):
-            raise ValueError(f"{unknown[0]}: not valid without a method that takes it")
-        if psf is None and trajectory is None and code is None and not options:
-            return _restore_alone(photo, anyway=anyway, seed=seed, progress=progress)
-    else:
+    if method != "auto":
         find_method(method)  # before the work
+    elif unknown := sorted(set(options) - {"camera"}):
+        raise ValueError(f"{unknown[0]}: not valid without a method that takes it")
     if psf is not None and trajectory is not None:
         raise ValueError("trajectory and psf: give one of them at most")
     if psf is not None and code is not None:
         raise ValueError("code: not valid with a PSF, which holds its code already")
     started = time.perf_counter()
+    if method == "auto" and psf is None and trajectory is None and code is None and not options:
+        estimator: Any = ESTIMATORS["motdiff"]().load(
+            seed=seed, progress=lambda share, note: progress(_ESTIMATE_SHARE * share, note)
+        )
+        estimate = estimator.estimate_from([np.asarray(photo)])
+        progress(_ESTIMATE_SHARE, "restoring")
+        restored = sharpen(photo, estimate, anyway=anyway)
+        return replace(restored, seconds=time.perf_counter() - started)
     channels = channels_first(photo)
     # along a trajectory a PSF costs no time, and where one is given none
     begin = _SEARCH_SHARE if psf is None and trajectory is None else 0.0
@@ -130,25 +141,16 @@ def restore(
     if trajectory is None:
         _check_reach("psf", len(kernel), channels)
     is_coded = code is not None or kernel.sum() < _ALL_LIGHT
-    notes = []
+    notes: list[str] = []
+    fills = True
     if method == "auto" and (draft.psf_source == "photo" or not is_coded):
         # a straight motion that was estimated looks like a known one: the photo shows how it fits
-        gain = exposure_gain(photo)
-        bright = np.asarray(photo) * gain
-        label, reason = choose_method(
-            bright,
-            psf,
-            trusted=trajectory is not None
-            and (trajectory.direction == "known" or uniform_length_px(trajectory) is not None),
+        is_trusted = trajectory is not None and (
+            trajectory.direction == "known" or uniform_length_px(trajectory) is not None
         )
-        image = restore_with_estimate(bright, psf, label, progress=restoring)
-        if not is_possible_light(image, bright, psf):
-            notes.append(
-                "the restored photo has dark and bright halos or stripes: the motion does not fit"
-                " this photo well"
-            )
-        image = image / gain
-        fills = True
+        image, (label, reason), notes = _by_evidence(
+            photo, psf, trusted=is_trusted, progress=restoring
+        )
     else:
         reason = ""
         if method == "auto":
@@ -211,7 +213,7 @@ def find_psf(
     """
     from motdiff.estimators.pmp.estimator import PmpEstimator
 
-    estimate = PmpEstimator(progress=progress).estimate(photo)
+    estimate = PmpEstimator(progress=progress).estimate_from([photo])
     warnings = estimate.psf_warnings
     if estimate.confidence < LEAST_CONFIDENCE:
         lost = (
@@ -288,20 +290,21 @@ def _doubts(channels: FloatArray, kernel: FloatArray, clipped: float, *, fills: 
     return doubts
 
 
-def _restore_alone(
-    photo: ArrayLike, *, anyway: bool, seed: int, progress: Callable[[float, str], None]
-) -> Restoration:
-    """Restore a photo with what suits it of the motion found in it, or keep it."""
-    from motdiff.estimators.registry import METHODS as ESTIMATORS  # its import loads no torch
-
-    started = time.perf_counter()
-    estimator = ESTIMATORS["motdiff"]().load(
-        seed=seed, progress=lambda share, note: progress(_ESTIMATE_SHARE * share, note)
-    )
-    estimate = estimator.estimate(np.asarray(photo))
-    progress(_ESTIMATE_SHARE, "restoring")
-    restored = sharpen(photo, estimate, anyway=anyway)
-    return replace(restored, seconds=time.perf_counter() - started)
+def _by_evidence(
+    photo: ArrayLike, psf: FloatArray, *, trusted: bool, progress: Callable[[float], None]
+) -> tuple[FloatArray, MethodChoice, list[str]]:
+    """Restore a photo by the method that it shows to suit its PSF, and warn of halos."""
+    gain = exposure_gain(photo)
+    bright = np.asarray(photo) * gain
+    choice = choose_method(bright, psf, trusted=trusted)
+    image = restore_with_estimate(bright, psf, choice.method, progress=progress)
+    notes = []
+    if not is_possible_light(image, bright, psf):
+        notes.append(
+            "the restored photo has dark and bright halos or stripes: the motion does not fit"
+            " this photo well"
+        )
+    return image / gain, choice, notes
 
 
 def _checked_image(restored: object, shape: tuple[int, ...], label: str) -> FloatArray:

@@ -6,13 +6,19 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TypeVar
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from motdiff.crops import CROP_PX, best_windows, clipped_mask, exposure_gain, textured_luminance
+from motdiff.crops import (
+    CROP_PX,
+    best_windows,
+    clipped_mask,
+    exposure_gain,
+    numbered_photo,
+    textured_luminance,
+)
 from motdiff.estimators.base import LOST, FoundKernels, MotionEstimate
 from motdiff.estimators.description import described
 from motdiff.estimators.doubts import doubted
@@ -26,9 +32,6 @@ from motdiff.psf_frame import without_faint_parts
 from motdiff.threads import one_thread_a_call
 from motdiff.tracing import simplest_trajectory
 from motdiff.types import FloatArray
-
-_Photo = TypeVar("_Photo")
-_Result = TypeVar("_Result")
 
 _LEAST_HALVED_PX = 192  # halved it has 96, not much more than the largest kernel frame, 63
 _LARGEST_EXTENT = 0.8  # of what the search can find: beyond, the photo is halved and tried again
@@ -143,7 +146,13 @@ class BlindEstimator(ABC):
         """
         with one_thread_a_call():
             progress = Progress(self._tell)
-            levels = self._levels(photos, progress)
+            images = []
+            for number, photo in enumerate(photos, 1):
+                with numbered_photo(number, count=len(photos)):
+                    grey = textured_luminance(photo, least_px=self.smallest_px)
+                # thresholds on light and noise then mean the same in a dim photo
+                images.append((exposure_gain(photo) * grey, clipped_mask(photo)))
+            levels = self._levels(images, progress)
             estimate = self._described(levels, progress)
             progress.finish()
             return estimate
@@ -174,18 +183,18 @@ class BlindEstimator(ABC):
             outgrown=_outgrown(kernel, self.largest_px),
         )
 
-    def _levels(self, photos: Sequence[ArrayLike], progress: Progress) -> list[_Level]:
+    def _levels(
+        self, images: Sequence[tuple[FloatArray, NDArray[np.bool_]]], progress: Progress
+    ) -> list[_Level]:
         """Search the photos at their size, and at smaller ones while that finds more."""
-        greys = _each(photos, lambda photo: textured_luminance(photo, least_px=self.smallest_px))
-        # thresholds on light and noise then mean the same in a dim photo
-        greys = [exposure_gain(photo) * grey for photo, grey in zip(photos, greys, strict=True)]
-        clipped = [clipped_mask(photo) for photo in photos]
-        count = min(self._crops, max(1, _MOST_CROPS // len(greys)))
-        images = list(zip(greys, clipped, strict=True))
-        least_px = min(min(grey.shape) for grey in greys)
+        count = min(self._crops, max(1, _MOST_CROPS // len(images)))
+        least_px = min(min(grey.shape) for grey, _ in images)
         levels: list[_Level] = []
         for factor in _FACTORS:
-            cuts = _each(images, partial(_textured_crops, factor=factor, count=count))
+            cuts = []
+            for number, image in enumerate(images, 1):
+                with numbered_photo(number, count=len(images)):
+                    cuts.append(_textured_crops(image, factor=factor, count=count))
             if len(cuts) == 1:
                 halved = None
                 if least_px // factor >= _LEAST_HALVED_PX:
@@ -251,19 +260,6 @@ class BlindEstimator(ABC):
         if retried.confidence <= candidates.confidence:
             return cut.crops, candidates
         return crops, replace(retried, details={**retried.details, "lights_left_out": True})
-
-
-def _each(photos: Sequence[_Photo], make: Callable[[_Photo], _Result]) -> list[_Result]:
-    """Make something of each photo; of several, an error begins with the photo's number."""
-    results = []
-    for number, photo in enumerate(photos, 1):
-        try:
-            results.append(make(photo))
-        except ValueError as error:
-            if len(photos) == 1:
-                raise
-            raise ValueError(f"photo {number}: {str(error).removeprefix('photo: ')}") from None
-    return results
 
 
 @dataclass(frozen=True)

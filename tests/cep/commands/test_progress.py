@@ -132,12 +132,12 @@ def quick_blind(monkeypatch):
     """Blind estimators whose work is a few shares."""
 
     def make(*, progress, **_options):
-        def estimate(_photo):
+        def estimate_from(_photos):
             for share in (0.3, 0.8, 1.0):
                 progress(share)
             return MotionEstimate("blind", (BENT,), (1.0,), BENT.psf(64), 0.5)
 
-        return SimpleNamespace(estimate=estimate)
+        return SimpleNamespace(estimate_from=estimate_from)
 
     monkeypatch.setattr("motdiff.estimators.motdiff.estimator.MotDiffEstimator", make)
     monkeypatch.setattr("motdiff.estimators.pmp.estimator.PmpEstimator", make)

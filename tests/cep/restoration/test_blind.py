@@ -47,11 +47,11 @@ def test_a_lost_psf_is_said_to_be_lost(monkeypatch):
     from motdiff.estimators.base import MotionEstimate
     from motdiff.estimators.pmp.estimator import PmpEstimator
 
-    def lost(_self, photo):
+    def lost(_self, photos):
         said = ("of its path", "of its PSF")
         return MotionEstimate("pmp", (PATH,), (1.0,), PATH.psf(), 0.2, said, psf_warnings=said[1:])
 
-    monkeypatch.setattr(PmpEstimator, "estimate", lost)
+    monkeypatch.setattr(PmpEstimator, "estimate_from", lost)
     found = find_psf(PHOTO, CODE)
     assert found.psf.sum() == pytest.approx(CODE.duty)
     assert found.confidence == 0.2

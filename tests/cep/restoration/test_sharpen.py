@@ -118,7 +118,7 @@ def test_a_photo_that_would_be_kept_is_restored_on_request(estimate, doubt):
 @pytest.fixture
 def estimated(monkeypatch):
     def given(estimate):
-        estimator = SimpleNamespace(estimate=lambda _photo: estimate)
+        estimator = SimpleNamespace(estimate_from=lambda _photos: estimate)
         monkeypatch.setattr(MotDiff, "load", lambda _method, **_options: estimator)
 
     return given
