@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from cep.commands.calibrate_next import NextOptions, next_step, write_next
+from cep.commands.calibrate_next import NextOptions, next_step
 from cep.commands.calibrate_refine import refine
 from cep.commands.code_options import exposure_seconds
 from cep.commands.console import Table, end, finish, part, progress
@@ -257,8 +257,9 @@ def _calibrate_photos(
         choice = None
         if options.next_file is not None:  # what fails here does not cost the estimate
             tick(0.97, "choosing the next code")
-            choice = options.designed(pixels, codes or (), calibration, seed=options.seed)
-            write_next(choice, outputs, options.next_file)
+            choice = options.write_next(
+                pixels, codes or (), calibration, outputs=outputs, seed=options.seed
+            )
         tick(1.0)
     warnings = [line for photo in photos for line in photo.warnings]
     warnings += [in_options(line, options.context) for line in calibration.warnings]

@@ -114,33 +114,27 @@ class NextOptions:
         values = {name: getattr(self, name) for name in _OPTIONS}
         return {name: value for name, value in values.items() if value is not None}
 
-    def designed(
+    def write_next(
         self,
         photos: Sequence[ArrayLike],
         codes: Sequence[ShutterCode],
         estimate: MotionEstimate,
         *,
+        outputs: Outputs,
         seed: int,
     ) -> NextCode | None:
-        """Choose the next code, None where no other photo is needed."""
+        """Choose the next code and write it; None where no other photo is needed."""
         import numpy as np
 
         from cep.calibration.next_code import next_code
 
-        return next_code(
-            photos,
-            codes,
-            estimate,
-            **self._given(),
-            rng=np.random.default_rng(seed),
-        )
-
-
-def write_next(choice: NextCode | None, outputs: Outputs, target: Path) -> None:
-    """Write the next photo's code where there is one; an earlier file of the name stays."""
-    if choice is not None:
-        with outputs.written(summary=choice.code.bits) as staged:
-            choice.save(staged[target])
+        assert self.next_file is not None
+        rng = np.random.default_rng(seed)
+        choice = next_code(photos, codes, estimate, **self._given(), rng=rng)
+        if choice is not None:
+            with outputs.written(summary=choice.code.bits) as staged:
+                choice.save(staged[self.next_file])
+        return choice
 
 
 def next_step(

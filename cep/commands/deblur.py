@@ -227,6 +227,7 @@ def _restored(
     from cep.optics.path_limits import check_resolved
     from cep.restoration.choice import looks_linear
     from cep.restoration.restore import restore
+    from motdiff.crops import numbered_photo
 
     code = codes[0] if codes else None
     inputs: dict[str, Any] = {}
@@ -251,10 +252,8 @@ def _restored(
         is_alone = options.is_photo_alone and record is None
         check_photos([photo.pixels], "motdiff" if is_alone else "pmp")
     else:
-        try:
+        with numbered_photo(1, count=1):
             check_texture(photo.pixels)
-        except ValueError as error:
-            raise ValueError(f"photo: {error}") from None
     tick(0.05, "searching the PSF" if is_blind else "restoring")
     restored = restore(
         photo.pixels,
