@@ -62,6 +62,7 @@ UNSAFE_OPTIONS = {("allow_pickle", "True"), ("weights_only", "False")}
 COMMANDS = "cep/commands/"
 LIGHT = {
     "cep.restoration.registry",
+    "cep.search.chip_count",
     "cep.search.objectives",
     "hw.export",
     "motdiff.estimators.method",

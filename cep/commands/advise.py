@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cep.commands.code_options import Device, ExposureTime, chips_option, exposure_seconds
-from cep.commands.console import Page, Table, announce, finish, part, progress
+from cep.commands.console import Page, Table, announce, finish, progress
 from cep.commands.options import (
     CameraOptions,
     CommonOptions,
@@ -36,7 +36,7 @@ _SAME_TIME = 0.01  # relative: a device's ticks round the chip times
 class AdviseOptions(CommonOptions, CameraOptions, SceneOptions, MotionOptions):
     """Options of ``cep advise``."""
 
-    chips: int | None = chips_option("Number of chips; as many as pay when omitted.", fewest=2)
+    chips: int | None = chips_option(fewest=2)
     exposure: ExposureTime = None
     code: list[str] | None = option(
         "--code",
@@ -94,10 +94,10 @@ class AdviseOptions(CommonOptions, CameraOptions, SceneOptions, MotionOptions):
         self, motion: Trajectory, *, chips: int, chip_ns: int | None = None
     ) -> SearchProblem:
         """Return the problem of so many chips; they last ``chip_ns`` where that is stated."""
-        from cep.search.chip_count import ASSUMED_EXPOSURE_S
+        from cep.search.chip_count import STANDARD_EXPOSURE_S
         from cep.search.problem import ProblemFields, SearchProblem
 
-        exposure_s: float | None = exposure_seconds(self.exposure) or ASSUMED_EXPOSURE_S
+        exposure_s: float | None = exposure_seconds(self.exposure) or STANDARD_EXPOSURE_S
         fields: ProblemFields = {"camera": self.load_camera(), "scene": self.load_scene()}
         if chip_ns is not None:
             fields["chip_ns"] = chip_ns
@@ -146,7 +146,7 @@ def advise(options: AdviseOptions) -> None:
         from cep.plots.advice import advice_figure
         from cep.plots.canvas import check_figure_name, save
         from cep.search.advise import advise as compare_exposures
-        from cep.search.chip_count import choose_chips
+        from cep.search.chip_count import problem_of_standard_chips
         from motdiff.files.outputs import claim
 
         output = options.output
@@ -162,9 +162,10 @@ def advise(options: AdviseOptions) -> None:
         chips = options.chips
         if codes:
             chips = codes[0].chips
-        gains: Mapping[int, float] = {}
-        problem = None
-        if chips is not None:  # wrong options are named before outputs in the way
+        # wrong options are named before outputs in the way
+        if chips is None:
+            problem = problem_of_standard_chips(lambda count: options.problem(motion, chips=count))
+        else:
             problem = options.problem(motion, chips=chips, chip_ns=chip_ns)
         pictures = options.pictures(motion)
         outputs = claim(
@@ -172,15 +173,6 @@ def advise(options: AdviseOptions) -> None:
             force=options.force,
             inputs=filter(None, [options.trajectory, options.scene_file]),
         )
-        if problem is None:
-            choice = choose_chips(
-                lambda count: options.problem(motion, chips=count),
-                path_error_px=error_px,
-                seed=options.seed,
-                progress=part(tick, 0.0, 0.4),
-            ).uninterrupted()
-            gains = choice.gains_db
-            problem = options.problem(motion, chips=choice.chips)
         advice = compare_exposures(
             problem,
             *codes,
@@ -188,7 +180,7 @@ def advise(options: AdviseOptions) -> None:
             photographs=pictures,
             seed=options.seed,
             announce=announce,
-            progress=part(tick, 0.4, 1.0),
+            progress=tick,
         )
     candidates = [
         candidate
@@ -198,7 +190,7 @@ def advise(options: AdviseOptions) -> None:
     ]
     warnings = []
     if options.exposure is None and chip_ns is None:
-        warnings.append("the exposure is taken as 50 ms; --exposure says how long it is")
+        warnings.append("the exposure is taken as 52 ms; --exposure says how long it is")
 
     def draw(staged: Mapping[Path, Path]) -> None:
         if output is not None:
@@ -208,12 +200,11 @@ def advise(options: AdviseOptions) -> None:
         {
             **advice.to_dict(),
             "codes": [candidate.to_dict() for candidate in candidates],
-            "other_chips_db": gains,
             "plot": output,
             "seed": options.seed,
             "warnings": warnings,
         },
-        _page(advice, candidates, gains, output),
+        _page(advice, candidates, output),
         as_json=options.as_json,
         outputs=outputs,
         save=draw,
@@ -225,11 +216,9 @@ def advise(options: AdviseOptions) -> None:
 def _page(
     advice: Advice,
     own_codes: Sequence[Exposure],
-    other_chips_db: Mapping[int, float],
     plot: Path | None,
 ) -> Page:
     from cep.files.formatting import duration, formatted
-    from cep.search.chip_count import in_words_of_chips
 
     at_camera = advice.here
     problem = advice.problem
@@ -268,7 +257,6 @@ def _page(
     chip, length = (
         duration(time_ns * 1e-9) for time_ns in (problem.chip_ns, problem.chips * problem.chip_ns)
     )
-    chips = f"{problem.chips} chips of {chip}, {length} in all"
-    yield "; ".join(filter(None, [chips, in_words_of_chips(other_chips_db)]))
+    yield f"{problem.chips} chips of {chip}, {length} in all"
     if plot is not None:
         yield f"{plot}: gains over the light"

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from cep.commands.code_options import STANDARD_CHIPS, Device
+from cep.commands.code_options import Device
 from cep.commands.console import printed_command
 from cep.commands.options import option
+from cep.search.chip_count import STANDARD_CHIPS
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cep.commands.code_options import CODE, STANDARD_CHIPS, Device, chips_option, in_bits
+from cep.commands.code_options import CODE, Device, chips_option, in_bits
 from cep.commands.console import Page, Table, finish, progress
 from cep.commands.options import (
     CommonOptions,
@@ -16,6 +16,7 @@ from cep.commands.options import (
     output_option,
     table_files,
 )
+from cep.search.chip_count import STANDARD_CHIPS
 
 if TYPE_CHECKING:
     from cep.calibration.calibration_set import CalibrationSet
@@ -26,7 +27,7 @@ class CalibrationSetOptions(CommonOptions):
     """Options of ``cep calibration-set``."""
 
     photos: int = option("--photos", "N", "Photos to be taken of the motion.", 4, min=2, max=8)
-    chips: int = chips_option(default=STANDARD_CHIPS, fewest=4)
+    chips: int = chips_option("Number of chips.", STANDARD_CHIPS, fewest=4)
     chip_ns: int = option("--chip-ns", "NS", "Chip time, ns.", 1_000_000, panel=CODE, min=1)
     device: Device = None
     file_format: str = option(

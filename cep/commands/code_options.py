@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cep.commands.options import CameraOptions, SceneOptions, option, output_option
+from cep.search.chip_count import STANDARD_CHIPS
 from cep.search.objectives import OBJECTIVES
 
 if TYPE_CHECKING:
@@ -26,12 +27,13 @@ _OBJECTIVE = "Objective"
 _LIMITS = "Limits of the shutter"
 SEARCH = "Search"
 
-# of a code where their number is neither given nor chosen: as many as Raskar's of 2006
-STANDARD_CHIPS = 52
+STANDARD_CHIPS_HELP = (
+    "Number of chips; when omitted 52, or as many as the motion and the shutter allow."
+)
 
 
 def chips_option(
-    help: str = "Number of chips.", default: int | None = None, *, fewest: int
+    help: str = STANDARD_CHIPS_HELP, default: int | None = None, *, fewest: int
 ) -> Any:
     """Make the field of the option ``--chips``."""
     return option("--chips", "N", help, default, short="-n", panel=CODE, min=fewest)
@@ -163,8 +165,7 @@ class SearchRunOptions:
     time_s: float | None = option(
         "--time",
         "S",
-        "Search for so many seconds, however many moves that is: the code depends on the"
-        " machine. The choice of the number of chips is within it.",
+        "Search for so many seconds, however many moves that is: the code depends on the machine.",
         panel=SEARCH,
     )
     output: Path = output_option("File to write.", Path("code.json"))

@@ -6,7 +6,7 @@ import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cep.commands.code_options import Device, ExposureTime, exposure_seconds
+from cep.commands.code_options import STANDARD_CHIPS_HELP, Device, ExposureTime, exposure_seconds
 from cep.commands.console import finish, part, progress
 from cep.commands.options import (
     CameraOptions,
@@ -32,13 +32,7 @@ class DemoOptions(CameraOptions, CommonOptions):
     photo: Path | None = option("--photo", "FILE", "A blurred photo of your own, instead.")
     gamma: Gamma = "srgb"
     exposure: ExposureTime = None
-    chips: int | None = option(
-        "--chips",
-        "N",
-        "Number of chips; one for each px of the path when omitted, with --device as many as pay.",
-        short="-n",
-        min=2,
-    )
+    chips: int | None = option("--chips", "N", STANDARD_CHIPS_HELP, short="-n", min=2)
     device: Device = None
 
 

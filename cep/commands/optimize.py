@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from cep.commands.code_options import (
     CODE,
     SEARCH,
-    STANDARD_CHIPS,
     CodeOptions,
     SearchRunOptions,
     chips_option,
@@ -33,11 +31,7 @@ _SPEEDS = 5  # of a range: the worst speed lies at one of its ends or near the m
 class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOptions):
     """Options of ``cep optimize``."""
 
-    chips: int | None = chips_option(
-        "Number of chips; when omitted as many as pay where mse is searched for one camera, else"
-        " 52, of two cameras no more than the motion tells apart.",
-        fewest=1,
-    )
+    chips: int | None = chips_option(fewest=1)
     frames: int = option(
         "--frames",
         "N",
@@ -75,26 +69,25 @@ class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOption
         # a single factor is one speed, not a range
         return speed_range(stored.trajectory, low, high, _SPEEDS if low < high else 1)
 
-    def searched(
-        self, stored: StoredMotion, motions: tuple[Scenario, ...]
-    ) -> SearchProblem | Callable[[int], SearchProblem]:
-        """Return the problem along a motion, or what makes it of a number of chips still open."""
-        from cep.optics.path_limits import resolved_chips
+    def searched(self, stored: StoredMotion, motions: tuple[Scenario, ...]) -> SearchProblem:
+        """Return the problem along a motion, of the standard number of chips where it is open."""
         from cep.optics.straight_motion import uniform_length_px
-        from cep.search.chip_count import ASSUMED_EXPOSURE_S
+        from cep.search.chip_count import STANDARD_EXPOSURE_S, problem_of_standard_chips
 
         exact = self.method == "exact"
         objective = objective_mix(self.objective or "mse")
         if self.objective is None and exact and uniform_length_px(stored.trajectory) is not None:
             objective = "min-mtf"  # a proof is for the minimum of a code's polynomial
-        if self.frames != 1:
-            most_chips = max(2, resolved_chips(stored.trajectory))
-            chips = self.chips or min(STANDARD_CHIPS, most_chips)
-            return self.problem(*motions, chips=chips, objective=objective, frames=self.frames)
-        if self.chips is not None or exact or objective != "mse":
-            return self.problem(*motions, objective=objective)
-        return lambda chips: self.problem(
-            *motions, chips=chips, exposure_s=ASSUMED_EXPOSURE_S, objective=objective
+        if self.chips is not None:
+            return self.problem(*motions, objective=objective, frames=self.frames)
+        return problem_of_standard_chips(
+            lambda chips: self.problem(
+                *motions,
+                chips=chips,
+                exposure_s=STANDARD_EXPOSURE_S,
+                objective=objective,
+                frames=self.frames,
+            )
         )
 
 
@@ -124,8 +117,6 @@ def optimize(options: OptimizeOptions) -> None:
     - verdict: what to do and what it gains, in one or two sentences. choice: open, snapshot (one
       shorter exposure), strobe (even pulses) or code. gains_db: gain of the best of each over the
       open shutter, on twelve photographs or parts of that of --scene; of code this one.
-    - other_chips_db, where --chips is omitted: what other numbers of chips would gain over the one
-      chosen.
     - proven: no code is better, over the whole unit circle; or, unless one straight motion is all
       there is, at the band's samples.
 
@@ -142,7 +133,6 @@ def optimize(options: OptimizeOptions) -> None:
         from cep.search.code_search import SearchOptions
         from cep.search.optimize import checked_motion
         from cep.search.optimize import optimize as search_code
-        from cep.search.problem import SearchProblem
         from motdiff.files.outputs import claim
 
         stored = options.load_motion()
@@ -158,8 +148,7 @@ def optimize(options: OptimizeOptions) -> None:
             "seed": options.seed,
         }
         SearchOptions(**how)  # for its checks alone
-        if isinstance(problem, SearchProblem):
-            checked_motion(problem, stored.trajectory)
+        checked_motion(problem, stored.trajectory)
         outputs = claim(
             [options.output],
             force=options.force,
@@ -199,7 +188,6 @@ def optimize(options: OptimizeOptions) -> None:
 def _page(best: OptimizedCode, options: OptimizeOptions) -> Page:
     """Lay a search and its comparison out for people."""
     from cep.files.formatting import duration, number
-    from cep.search.chip_count import in_words_of_chips
 
     code = best.code
     search = best.search
@@ -216,8 +204,6 @@ def _page(best: OptimizedCode, options: OptimizeOptions) -> Page:
         f"{code.open_chips} of {code.chips} chips open, {openings(code)}; {chip} a chip,"
         f" {exposure} in all; {search.seconds:.1f} s, {ending(search.stopped, search.steps)}"
     )
-    if best.chip_count is not None and best.chip_count.gains_db:
-        yield in_words_of_chips(best.chip_count.gains_db)
     columns = ("code", "open", head, "noise gain, dB", "MSE, dB")
     rows = [
         (

@@ -130,8 +130,8 @@ def calibrate_by_shots(options: ShootOptions) -> None:
     """Take photos of one motion, each code chosen by those before, until its order is sure."""
     from cep.calibration.calibrate import CALIBRATION_FILES
     from cep.calibration.closed_loop import MOST_PHOTOS, calibrate_in_loop
-    from cep.commands.code_options import STANDARD_CHIPS
     from cep.optics.path_limits import check_resolved
+    from cep.search.chip_count import STANDARD_CHIPS
     from cep.shutter.shoot import open_rig
     from cep.shutter.shot_folder import ShotFolder
     from hw.cameras.camera import CameraError

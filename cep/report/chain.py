@@ -14,7 +14,7 @@ from cep.report.scene import Scene, SceneMotion, find_motion
 from cep.restoration.result import Restoration
 from cep.restoration.sharpen import LEAST_CONFIDENCE, sharpen
 from cep.search.advise import LEVELS, Advice
-from cep.search.chip_count import choose_chips
+from cep.search.chip_count import problem_of_standard_chips
 from cep.search.exposures import CODED, Choice, Exposure
 from motdiff.crops import centre_crop, luminance
 from motdiff.estimators.base import MotionEstimate
@@ -25,9 +25,6 @@ from motdiff.types import FloatArray
 # of the bundled case: its fixed noise is large enough for a code to be the best exposure
 STANDARD_CAMERA = "video-8bit"
 EXPOSURE_S = 1 / 30  # where none is given
-# chips of a code: else one for each px of the path
-_LEAST_CHIPS = 8
-_MOST_CHIPS = 64
 _LARGEST_SCENE_PX = 768  # of a user's photo: TV takes a minute on more
 _RESTORATION = "pnp"  # the one that the gains are those of
 # shares of the time when each is done
@@ -196,7 +193,7 @@ def run_chain(
         )
     estimate = motion.estimate
     progress(_MOTION_SHARE, "comparing exposures")
-    problem = _problem(estimate, camera, exposure_s, device, chips, seed)
+    problem = _problem(estimate, camera, exposure_s, device, chips)
     advice = cep.advise(
         problem,
         levels=levels,
@@ -225,9 +222,8 @@ def _problem(
     exposure_s: float,
     device: cep.DeviceProfile | None,
     chips: int | None,
-    seed: int,
 ) -> cep.SearchProblem:
-    """Make the problem along a motion, of as many chips as suit it where that is open."""
+    """Make the problem along a motion, of the standard number of chips where that is open."""
 
     def problem_of(count: int) -> cep.SearchProblem:
         length_s = exposure_s
@@ -243,10 +239,8 @@ def _problem(
             exposure_s=length_s,
         )
 
-    if chips is None and device is None:
-        chips = int(np.clip(round(estimate.best.length_px), _LEAST_CHIPS, _MOST_CHIPS))
-    elif chips is None:
-        chips = choose_chips(problem_of, seed=seed).uninterrupted().chips
+    if chips is None:
+        return problem_of_standard_chips(problem_of)
     check_resolved(estimate.best, chips)
     return problem_of(chips)
 

@@ -32,9 +32,6 @@ from cep.search.search_result import Baseline, SearchResult
 STANDARD_TIME_S = 60.0
 """Limit of an annealing that is given neither moves nor a time, seconds."""
 
-NO_TIME_S = 1e-9
-"""Time limit that ends an annealing at its start: the best of its starting codes is returned."""
-
 
 _LEAST_SHARE = 0.5  # of the time limit that the annealing has, however long the baselines take
 
@@ -107,7 +104,6 @@ def search_code(
     how: SearchOptions,
     *,
     rng: np.random.Generator | None = None,
-    start: Iterable[ShutterCode] = (),
     length_px: float | None = None,
     threads: int | None = None,
     progress: Callable[[float, ShutterCode], None] | None = None,
@@ -124,8 +120,6 @@ def search_code(
         has in any case.
     rng : numpy Generator, optional
         Made of the seed of ``how`` when omitted.
-    start : iterable of ShutterCode
-        Codes to start an annealing from, besides the baselines.
     length_px : float, optional
         Of the path, for the length-only code among the baselines; of the problem's when omitted.
     threads : int, optional
@@ -142,7 +136,7 @@ def search_code(
     Raises
     ------
     ValueError
-        If the problem is not one that the method solves, or a starting code has another length.
+        If the problem is not one that the method solves.
     """
     rng = rng or np.random.default_rng(how.seed)
     started = time.monotonic()
@@ -182,7 +176,7 @@ def search_code(
             rng=rng,
             steps=how.moves(problem),
             time_s=max(left_s, _LEAST_SHARE * how.limit_s),
-            start=[*_starts(problem, rivals), *proven_starts(problem), *start],
+            start=[*_starts(problem, rivals), *proven_starts(problem)],
             progress=progress,
             threads=threads,
             judge=judge,

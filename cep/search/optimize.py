@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Literal
@@ -15,9 +14,7 @@ from cep.optics.camera import LIGHT_RANGE
 from cep.optics.code import ShutterCode
 from cep.optics.path_limits import check_frame, check_resolved
 from cep.search.baselines import mean_length_px
-from cep.search.chip_count import ChipCount, choose_chips
 from cep.search.code_search import (
-    NO_TIME_S,
     SearchOptions,
     search_code,
     searched_problem,
@@ -33,8 +30,6 @@ from cep.search.verdict import verdict
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-_CHOOSING = 0.3  # of the time: the number of chips, where it is to be chosen
-_LEAST_LEFT = 0.1  # of the time, for the search after that choice
 _SEARCH_SHARE = 0.5  # of the time: then it is measured
 _MEASURED_SHARE = 0.95  # of the time: comparing and certifying take the rest
 _LESS_LIGHT = (3, 10)  # factors of the light that rivals of the code are searched for
@@ -43,7 +38,7 @@ Progress = Callable[[float, str], None]
 
 
 def optimize(
-    problem: SearchProblem | Callable[[int], SearchProblem],
+    problem: SearchProblem,
     *,
     method: Literal["anneal", "exact"] = "anneal",
     steps: int | None = None,
@@ -65,14 +60,11 @@ def optimize(
 
     Parameters
     ----------
-    problem : SearchProblem or callable
+    problem : SearchProblem
         Of two frames the code is one of a pair of cameras, whose other plays its complement: it
-        has no certificate and no bound, and what it gains is what both gain together. A callable
-        returns the problem of one camera with so many chips: as many as pay are chosen, see
-        :func:`cep.search.chip_count.choose_chips`. After Ctrl-C within that choice the best of the
-        codes to start from and to compare with is returned.
+        has no certificate and no bound, and what it gains is what both gain together.
     method, steps, time_s, seed
-        As of :class:`SearchOptions`. The choice of the number of chips is within the time.
+        As of :class:`SearchOptions`.
     along : Trajectory, optional
         What the certificate is for; the first scenario's path when omitted. Where the code's
         polynomial alone decides, it is for the unit circle.
@@ -108,22 +100,10 @@ def optimize(
     ('1010111100100100', 'proven')
     """
     how = SearchOptions(method=method, steps=steps, time_s=time_s, seed=seed)
-    how_in_time = how
-    chip_count: ChipCount | None = None
-    if not isinstance(problem, SearchProblem):
-        problem, how_in_time, chip_count = _with_chips(
-            problem,
-            how,
-            path_error_px=path_error_px,
-            threads=threads,
-            progress=_part(progress, 0.0, _CHOOSING),
-        )
-        progress = _part(progress, _CHOOSING, 1.0)
     motion = checked_motion(problem, along)
     search = _searched(
         problem,
-        how_in_time,
-        chip_count,
+        how,
         threads=threads,
         on_best=on_best,
         progress=_part(progress, 0.0, _SEARCH_SHARE),
@@ -148,41 +128,14 @@ def optimize(
         search = replace(search, code=best.code, objective=costs_db[best.code])
         on_found(stored_code(problem, how, search))
     progress(_MEASURED_SHARE, "comparing with other codes")
-    optimized = described(problem, how, search, judgement, motion=motion, chip_count=chip_count)
+    optimized = described(problem, how, search, judgement, motion=motion)
     progress(1.0, "")
     return optimized
-
-
-def _with_chips(
-    problem: Callable[[int], SearchProblem],
-    how: SearchOptions,
-    *,
-    path_error_px: float,
-    threads: int | None,
-    progress: Progress,
-) -> tuple[SearchProblem, SearchOptions, ChipCount]:
-    """Choose the number of chips: the problem with so many, its search in the time left, why."""
-    started = time.monotonic()
-    chosen = choose_chips(
-        problem,
-        path_error_px=path_error_px,
-        seed=how.seed,
-        time_s=_CHOOSING * (how.time_s or math.inf),
-        threads=threads,
-        progress=progress,
-    )
-    if chosen.early == "interrupted":
-        how = replace(how, time_s=NO_TIME_S)
-    elif how.time_s is not None:
-        left_s = how.time_s - (time.monotonic() - started)
-        how = replace(how, time_s=max(left_s, _LEAST_LEFT * how.time_s))
-    return problem(chosen.chips), how, chosen
 
 
 def _searched(
     problem: SearchProblem,
     how: SearchOptions,
-    chip_count: ChipCount | None,
     *,
     threads: int | None,
     on_best: Callable[[ShutterCode], None],
@@ -196,13 +149,9 @@ def _searched(
         on_best(best)
         progress(share, f"{best.open_chips} open")
 
-    start = []
-    if chip_count is not None and chip_count.code is not None:
-        start = [chip_count.code]  # best by the expected error: a start by any objective
     search = search_code(
         searched,
         how,
-        start=start,
         length_px=mean_length_px(problem),
         threads=threads,
         progress=report,
@@ -213,8 +162,6 @@ def _searched(
     for camera_code in played:
         if reason := unplayable(camera_code.bits, problem.device, code.chip_ns):
             raise ValueError(reason)
-    if chip_count is not None and chip_count.early == "interrupted":
-        return replace(search, code=code, stopped="interrupted")
     return replace(search, code=code)
 
 

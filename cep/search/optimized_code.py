@@ -13,7 +13,6 @@ from cep.proofs.certify.certificate import Certificate, certify
 from cep.proofs.measure import CodeMetrics, PairMetrics
 from cep.search.baselines import Comparison, compare
 from cep.search.bounds import bound
-from cep.search.chip_count import ChipCount
 from cep.search.code_search import (
     SearchOptions,
     described_search,
@@ -52,8 +51,6 @@ class OptimizedCode:
         What no code of so much light can exceed, and how far off this one is: 0..1, or dB for the
         noise. Of a code proven on the unit circle, the bound that the proof gives to all codes
         within the limits.
-    chip_count : ChipCount or None
-        How the number of chips was chosen, where it was not given.
     """
 
     problem: SearchProblem
@@ -66,7 +63,6 @@ class OptimizedCode:
     figure: str
     bound: float | None
     gap: float | None
-    chip_count: ChipCount | None = None
 
     @property
     def code(self) -> ShutterCode:
@@ -106,7 +102,6 @@ class OptimizedCode:
                 for exposure in self.verdict.exposures
                 if exposure.saturates and exposure.code.bits == self.code.bits
             ),
-            *(self.chip_count.warnings if self.chip_count else ()),
         )
 
     def to_dict(self) -> dict[str, Any]:
@@ -147,7 +142,6 @@ class OptimizedCode:
                 )
                 for row in self.comparison[1:]
             },
-            **({"other_chips_db": self.chip_count.gains_db} if self.chip_count else {}),
         }
 
     def save(self, path: Path | str, *, source: Mapping[str, object] | None = None) -> None:
@@ -200,7 +194,6 @@ def described(
     judgement: Verdict,
     *,
     motion: Trajectory,
-    chip_count: ChipCount | None = None,
 ) -> OptimizedCode:
     """Compare a searched code with others, and of one camera certify it, and bound it."""
     if problem.frames == 2:
@@ -218,9 +211,7 @@ def described(
         path = _as_designed(motion, problem.direction)
     certificate = certify(search.code, path) if problem.frames == 1 else None
     bounded = _bounded(problem, search, comparison[0].metrics, straight=path is None)
-    return OptimizedCode(
-        problem, how, search, comparison, judgement, path, certificate, *bounded, chip_count
-    )
+    return OptimizedCode(problem, how, search, comparison, judgement, path, certificate, *bounded)
 
 
 def stored_code(problem: SearchProblem, how: SearchOptions, search: SearchResult) -> StoredCode:

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from cep.commands.code_options import (
-    STANDARD_CHIPS,
     CodeOptions,
     SearchRunOptions,
     ending,
@@ -26,6 +25,7 @@ from cep.commands.options import (
     option,
     table_files,
 )
+from cep.search.chip_count import STANDARD_CHIPS
 
 if TYPE_CHECKING:
     from lab.class_code.optimum import ClassOptimum

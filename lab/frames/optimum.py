@@ -14,7 +14,6 @@ from cep.optics.code import ShutterCode
 from cep.proofs.measure import HOPELESS_DB, CodeMetrics
 from cep.search.baselines import mean_length_px
 from cep.search.code_search import (
-    NO_TIME_S,
     SearchOptions,
     described_search,
     ended_early,
@@ -38,6 +37,9 @@ from cep.search.search_result import Stopped
 from cep.search.verdict import Verdict
 from lab.frames.annealing import FramesResult, anneal_frames, joint_figures
 from motdiff.files.outputs import new_files
+
+# ends an annealing at its start: the best of its starting codes is returned
+_NO_TIME_S = 1e-9
 
 
 @dataclass(frozen=True)
@@ -312,7 +314,7 @@ def _search(
     )
     left_s = max(time_s / 2, time_s - single.seconds)  # baselines may overrun their half
     if single.stopped == "interrupted":
-        left_s = NO_TIME_S  # Ctrl-C ends both searches; a time limit only the one
+        left_s = _NO_TIME_S  # Ctrl-C ends both searches; a time limit only the one
     outcome = anneal_frames(
         problem,
         frames,

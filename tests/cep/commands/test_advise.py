@@ -12,7 +12,6 @@ from cep.files.images import read_image, write_image
 from cep.optics.code import ShutterCode
 from cep.optics.scene import SCENES
 from cep.photographs.scenes import photographs
-from cep.search.chip_count import COUNTS
 
 ALONG = ("--linear", "12", "--chips", "12")
 FIELDS = {
@@ -137,16 +136,13 @@ def test_the_chip_time_of_a_code_file_counts(cep, workplace):
     assert line.startswith("cep: --code: the files state chips of")
 
 
-def test_chips_are_chosen_where_none_are_given(cep, workplace):
+def test_search_and_advice_take_as_many_chips_as_the_motion_allows(cep, workplace):
     found = cep.succeeds("advise", "--linear", "12", "--read-noise", "50", "-o", "advice.png")
-    others = {int(count) for count in found["other_chips_db"]}
-    assert found["chips"] in COUNTS
-    assert others | {found["chips"]} <= set(COUNTS)
     searched = cep.succeeds(
         "optimize", "--linear", "12", "--read-noise", "50", "--steps", "2000", "-o", "new.json"
     )
-    assert searched["chips"] == found["chips"]
-    assert "other_chips_db" in searched
+    assert searched["chips"] == found["chips"] == 32
+    assert searched["exposure_s"] == pytest.approx(0.052)
 
 
 def test_an_exposure_sets_the_chip_time_of_a_code(cep, workplace):

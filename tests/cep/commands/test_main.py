@@ -450,33 +450,6 @@ def test_optimize_interrupted_keeps_the_best(cep, workplace, monkeypatch):
     assert read_code("new.json").code.bits == found["bits"]
 
 
-def test_an_interrupt_while_the_number_of_chips_is_chosen_keeps_the_best(
-    cep, workplace, monkeypatch
-):
-    from cep.search import exposures as module
-
-    def interrupted_soon(problem, **options):
-        def stop(_fraction, _best):
-            raise KeyboardInterrupt
-
-        return real(problem, **options, progress=stop if problem.chips > 8 else None)
-
-    real = module.anneal
-    monkeypatch.setattr(module, "anneal", interrupted_soon)
-    found = cep.succeeds("optimize", "--linear", "20", "--steps", "100000000", "-o", "new.json")
-    assert found["stopped"] == "interrupted"
-    assert found["chips"] in (8, 16)
-    assert any("fewer numbers were tried" in line for line in found["warnings"])
-    assert read_code("new.json").code.bits == found["bits"]
-
-
-def test_the_time_bounds_the_choice_of_the_number_of_chips_too(cep, workplace):
-    found = cep.succeeds("optimize", "--linear", "20", "--time", "0.001", "-o", "new.json")
-    assert found["other_chips_db"] == {}
-    assert found["chips"] == 8
-    assert any("fewer numbers were tried" in line for line in found["warnings"])
-
-
 def test_a_second_interrupt_does_not_lose_the_code(cep, workplace, monkeypatch):
     def interrupted(*_arguments, **_options):
         raise KeyboardInterrupt
