@@ -28,16 +28,9 @@ _WHOLE = 1.25  # a photo larger than a crop by up to this is taken whole
 
 
 def luminance(photo: ArrayLike) -> FloatArray:
-    """Mean of the colour channels, (H, W); a grey photo as it is.
+    """Mean of the colour channels, (H, W), of a photo in linear light; a grey photo as it is.
 
-    Parameters
-    ----------
-    photo : (H, W) or (H, W, C) array_like, linear light
-
-    Raises
-    ------
-    ValueError
-        If the shape is another, or a value is not finite.
+    ValueError if the shape is neither (H, W) nor (H, W, C), or a value is not finite.
     """
     image = np.asarray(photo)
     if image.dtype.kind != "f":
@@ -62,10 +55,7 @@ def centre_crop(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
 def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
     """:func:`luminance` of a photo in which motion can be searched.
 
-    Raises
-    ------
-    ValueError
-        As :func:`luminance`, or if a side is shorter than ``least_px`` or all pixels are the same.
+    ValueError as there, if a side is shorter than ``least_px``, or if all pixels are the same.
     """
     grey = luminance(photo)
     check_size(grey, least_px=least_px)
@@ -79,14 +69,6 @@ def exposure_gain(photo: ArrayLike) -> float:
 
     What is searched and chosen by limits on light and noise then hardly depends on a photo's
     exposure.
-
-    Parameters
-    ----------
-    photo : (...) array_like, linear light 0..1
-
-    Returns
-    -------
-    float, 1 or more
 
     Examples
     --------
@@ -108,13 +90,7 @@ def numbered_photo(number: int, *, count: int) -> Iterator[None]:
 
 
 def check_size(photo: ArrayLike, *, least_px: int) -> None:
-    """Refuse a photo (H, W) or (H, W, C) that is too small for a search of its motion.
-
-    Raises
-    ------
-    ValueError
-        If a side is shorter than ``least_px``.
-    """
+    """Refuse a photo (H, W) or (H, W, C) with a side shorter than ``least_px``."""
     height, width = np.shape(photo)[:2]
     if min(height, width) < least_px:
         raise ValueError(
@@ -208,17 +184,7 @@ def best_windows(grey: FloatArray, *, count: int) -> list[tuple[slice, slice]]:
 
 
 def uniformity(psfs: Sequence[ArrayLike]) -> float:
-    """Mean mutual sub-pixel MNC of PSFs from several places of a photo; 1 for a single one.
-
-    Parameters
-    ----------
-    psfs : sequence of (S, S) array_like
-
-    Raises
-    ------
-    ValueError
-        If there are none.
-    """
+    """Mean mutual sub-pixel MNC of PSFs (S, S) from places of a photo; 1 for a single one."""
     if not psfs:
         raise ValueError("psfs: needs at least one")
     return float(np.mean([mnc_subpixel(a, b) for a, b in combinations(psfs, 2)] or [1.0]))
@@ -227,12 +193,8 @@ def uniformity(psfs: Sequence[ArrayLike]) -> float:
 def blur_differs_warning(psfs: Sequence[ArrayLike], *, limit: float = 0.75) -> str | None:
     """Return a sentence for the user when the blur differs across the photo, else None.
 
-    Parameters
-    ----------
-    psfs : sequence of (S, S) array_like
-        Kernels of single crops.
-    limit : float
-        Least mutual MNC that counts as one blur. Unrelated motions of a hand reach 0.4 to 0.55.
+    ``limit`` is the least mutual MNC of the crops' kernels (S, S) that counts as one blur.
+    Unrelated motions of a hand reach 0.4 to 0.55.
     """
     score = uniformity(psfs)
     if score >= limit:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motdiff.path_psfs import interpolated
-from motdiff.trajectory import Trajectory
+from motdiff.trajectory import Trajectory, check_positive
 from motdiff.types import FloatArray
 
 DEFAULT_AXES = "right,down,forward"
@@ -98,18 +98,13 @@ def image_rates_rad_s(trace: GyroTrace, *, axes: str = DEFAULT_AXES) -> FloatArr
 
     Parameters
     ----------
-    trace : GyroTrace
     axes : str
         Directions in which the sensor's x, y and z axes point, as one sees them from behind the
         camera with the photo upright: three of right, left, up, down, forward, back. The default
         "right,down,forward" is that of a camera; a phone held upright (Android, iOS; rear camera)
         is "right,up,back"; held sideways, its top to the left, it is "up,left,back", and its top
         to the right "down,right,back"; a drone that looks ahead is often "forward,right,down".
-
-    Raises
-    ------
-    ValueError
-        If ``axes`` does not name the directions of three right-handed axes.
+        A ValueError says where they are not three, or not right-handed.
     """
     about = _camera_rates_rad_s(trace, axes)
     # turned right about its down axis, the camera sees the image move left; up, it moves down
@@ -150,12 +145,10 @@ def trajectory_from_gyro(
 
     Parameters
     ----------
-    trace : GyroTrace
     focal_px : float, px
         Focal length divided by the pixel pitch.
     start_s : float, seconds
         Opening of the shutter, on the trace's clock.
-    exposure_s : float, seconds
     axes : str, as of :func:`image_rates_rad_s`
 
     Raises
@@ -164,9 +157,8 @@ def trajectory_from_gyro(
         If the exposure does not lie within the trace, a number is not positive, or the axes are
         none.
     """
-    for name, value in (("focal_px", focal_px), ("exposure_s", exposure_s)):
-        if not (math.isfinite(value) and value > 0):
-            raise ValueError(f"{name}: must be a positive number, got {value}")
+    check_positive("focal_px", focal_px)
+    check_positive("exposure_s", exposure_s)
     times, angles = _integrated(trace, image_rates_rad_s(trace, axes=axes), start_s, exposure_s)
     return Trajectory.from_samples(focal_px * angles, t=times, direction="known")
 
@@ -178,12 +170,6 @@ def roll_rad(
 
     A pixel r px from the photo's centre moves by up to ``r * roll`` px in addition to the
     trajectory.
-
-    Parameters
-    ----------
-    trace : GyroTrace
-    start_s, exposure_s : float, seconds
-    axes : str, as of :func:`image_rates_rad_s`
     """
     _, angles = _integrated(trace, _camera_rates_rad_s(trace, axes)[:, 2:], start_s, exposure_s)
     return float(np.ptp(angles))

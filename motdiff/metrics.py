@@ -22,10 +22,7 @@ _TIMES = 401  # compared of two paths
 def mnc(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
     """Maximum of normalised cross-correlation over integer shifts, in 0..1; no mean is subtracted.
 
-    Parameters
-    ----------
-    psf_a, psf_b : (H, W) array_like
-        Non-negative PSFs; their frames may differ in size.
+    The PSFs (H, W) are non-negative, and their frames may differ in size.
 
     Raises
     ------
@@ -44,10 +41,6 @@ def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 
     Integer shifts punish a perfect PSF that sits half a pixel off (0.80 on Levin's); this does
     not.
-
-    Parameters
-    ----------
-    psf_a, psf_b : (H, W) array_like
     """
     return _subpixel_peak(_correlation(psf_a, psf_b))[0]
 
@@ -55,18 +48,9 @@ def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
     """MNC of every pair of PSFs at half pixels: a quick :func:`mnc_subpixel`, within 0.03 of it.
 
-    Parameters
-    ----------
-    psfs : sequence of N (S, S) array_like, their frames may differ
-
     Returns
     -------
-    (N, N) float64, symmetric, 1 on the diagonal
-
-    Raises
-    ------
-    ValueError
-        If there are none, or one is not two-dimensional, not finite, or all zero.
+    (N, N) float64, symmetric, 1 on the diagonal; ValueError without PSFs, or as of :func:`mnc`
     """
     images = [_checked(f"psfs[{i}]", psf) for i, psf in enumerate(psfs)]
     if not images:
@@ -101,14 +85,7 @@ def register_shift(psf_a: ArrayLike, psf_b: ArrayLike) -> tuple[float, float]:
 
 
 def path_distance_px(a: Trajectory, b: Trajectory, *, samples: int = 200) -> float:
-    """Mean distance, px, of two centred paths at equal arc length, in the better direction.
-
-    Parameters
-    ----------
-    a, b : Trajectory
-    samples : int
-        Points compared along each path.
-    """
+    """Mean distance, px, of two centred paths at equal arc length, in the better direction."""
     p, q = (path.arc_resampled(samples) for path in (a, b))
     p = p - p.mean(axis=0)
     q = q - q.mean(axis=0)
@@ -207,10 +184,7 @@ def best_aligned(
 ) -> tuple[FloatArray, FloatArray]:
     """Restored photo moved onto the sharp one, to 1/4 px, and that one, both without borders.
 
-    Raises
-    ------
-    ValueError
-        If their shapes differ, or the borders leave nothing.
+    ValueError if their shapes differ, or the borders leave nothing.
     """
     moving = np.asarray(restored, dtype=np.float64)
     target = np.asarray(sharp, dtype=np.float64)

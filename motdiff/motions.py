@@ -8,7 +8,7 @@ import numpy as np
 
 from motdiff.gyro import GyroTrace, trajectory_from_gyro
 from motdiff.path_psfs import interpolated
-from motdiff.trajectory import Trajectory
+from motdiff.trajectory import Trajectory, check_positive
 
 DEBLURGAN_EXPL = (0.01, 0.009, 0.008, 0.007, 0.005, 0.003)
 # a big shake adds the velocity turned by 180 degrees +- the spread, times the strength
@@ -40,8 +40,6 @@ def boracchi_foi(
 
     Parameters
     ----------
-    rng : numpy.random.Generator
-    max_length_px : float, px
     expl : float, optional
         "Anxiety": scales every random change of the velocity; drawn from :data:`DEBLURGAN_EXPL`
         when omitted.
@@ -62,12 +60,12 @@ def boracchi_foi(
     21(8), 2012. Kupyn et al., "DeblurGAN", CVPR 2018, Algorithm 1, with the constants of its
     released code.
     """
-    _positive("max_length_px", max_length_px)
+    check_positive("max_length_px", max_length_px)
     if samples < 2:
         raise ValueError(f"samples: needs at least 2, got {samples}")
     if expl is None:
         expl = float(rng.choice(DEBLURGAN_EXPL))
-    _positive("expl", expl)
+    check_positive("expl", expl)
     inertia, big_shake, gaussian = (
         top * rng.random() for top in (inertia_max, big_shake_max, gaussian_max)
     )
@@ -95,13 +93,7 @@ def boracchi_foi(
 def random_straight(
     rng: np.random.Generator, *, min_length_px: float = 5.0, max_length_px: float = 40.0
 ) -> Trajectory:
-    """Draw a uniform straight motion, length and angle uniform.
-
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    min_length_px, max_length_px : float, px
-    """
+    """Draw a uniform straight motion, length and angle uniform."""
     length_px = _drawn_length(rng, min_length_px, max_length_px)
     return Trajectory.straight(length_px, angle_rad=rng.uniform(0, 2 * np.pi), direction="known")
 
@@ -115,19 +107,9 @@ def quadratic(
 ) -> Trajectory:
     """Draw a motion of constant acceleration: a piece of a parabola at its own pace.
 
-    Parameters
-    ----------
-    rng : numpy.random.Generator
-    min_length_px, max_length_px : float, px
-        Range of the arc length.
-    max_bend : float
-        Largest change of velocity during the exposure over the mean velocity; below 2 the motion
-        never turns back.
-
-    Raises
-    ------
-    ValueError
-        If the lengths are not positive and ordered, or ``max_bend`` is negative.
+    ``max_bend`` is the largest change of velocity during the exposure over the mean velocity;
+    below 2 the motion never turns back. ValueError if it is negative, or the lengths are not
+    positive and ordered.
     """
     if not (math.isfinite(max_bend) and max_bend >= 0):
         raise ValueError(f"max_bend: must be a non-negative number, got {max_bend}")
@@ -149,21 +131,11 @@ def random_gyro_motion(
 ) -> Trajectory:
     """Draw a hand shake: a window of ``trace``, turned, its focal length for ``extent_px``.
 
-    Parameters
-    ----------
-    trace : GyroTrace
-    rng : numpy.random.Generator
-    exposure_s : float, seconds
-    extent_px : float, px
-        Larger side of the path's bounding box.
-
-    Raises
-    ------
-    ValueError
-        If the trace is shorter than the exposure, or too still.
+    That is the larger side of the path's bounding box. ValueError if the trace is shorter than the
+    exposure, or too still.
     """
-    _positive("exposure_s", exposure_s)
-    _positive("extent_px", extent_px)
+    check_positive("exposure_s", exposure_s)
+    check_positive("extent_px", extent_px)
     spare_s = trace.duration_s - exposure_s
     if spare_s < 0:
         raise ValueError(
@@ -200,17 +172,10 @@ def with_smooth_error(
 
     Parameters
     ----------
-    trajectory : Trajectory
     error_px : float, px
-        Expected rms distance over time, both axes together.
-    rng : numpy.random.Generator
+        Expected rms distance over time, both axes together; a ValueError if it is negative.
     sign : float
         Factor of the error: -1 gives the opposite draw.
-
-    Raises
-    ------
-    ValueError
-        If the error is negative.
     """
     if not (math.isfinite(error_px) and error_px >= 0):
         raise ValueError(f"error_px: must be 0 px or more, got {error_px}")
@@ -224,11 +189,6 @@ def with_smooth_error(
     # error_px is an rms length, so each axis has 1 / sqrt(2) of it
     error = interpolated(t, knots, knot_errors) * (sign * error_px / 2**0.5)
     return Trajectory.from_samples(trajectory.at(t) + error, t=t, direction=trajectory.direction)
-
-
-def _positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise ValueError(f"{name}: must be a positive number, got {value}")
 
 
 def _drawn_length(rng: np.random.Generator, low_px: float, high_px: float) -> float:

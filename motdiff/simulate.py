@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from scipy import fft
 
 from motdiff.psf_frame import PSF_PX
-from motdiff.trajectory import Trajectory
+from motdiff.trajectory import Trajectory, check_positive
 from motdiff.types import FloatArray
 
 _SRGB_KNEE_LINEAR = 0.0031308  # IEC 61966-2-1: below, the curve is straight
@@ -20,15 +20,7 @@ _SRGB_KNEE_DISPLAY = 0.0031308 * 12.92
 def valid_window(shape: tuple[int, ...], psf_shape: tuple[int, ...]) -> tuple[slice, slice]:
     """Part of a sharp image, (rows, columns), that :func:`blur_valid` returns blurred.
 
-    Parameters
-    ----------
-    shape : shape of the sharp image, (H, W, ...)
-    psf_shape : (S, S) or (R, C), zero displacement at index ``size // 2``
-
-    Raises
-    ------
-    ValueError
-        If the PSF is larger than the image.
+    ValueError if the PSF, zero displacement at index ``size // 2``, is larger than the image.
     """
     if psf_shape[0] > shape[0] or psf_shape[1] > shape[1]:
         raise ValueError(
@@ -78,14 +70,7 @@ def blur_valid(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
 def blur_symmetric(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
     """Blur at full size, the scene mirrored beyond its borders, as the MoTDiff paper's data.
 
-    Parameters
-    ----------
-    sharp : (H, W) or (H, W, C) array_like, linear light
-    psf : (S, S) array_like, zero displacement at index ``S // 2``
-
-    Returns
-    -------
-    float64 of the shape of ``sharp``
+    Arguments and shape are those of :func:`blur_valid`, the photo's is that of ``sharp``.
     """
     image, kernel = _checked(sharp, psf)
     pads = [(n - 1 - n // 2, n // 2) for n in kernel.shape] + [(0, 0)] * (image.ndim - 2)
@@ -104,7 +89,6 @@ def add_noise(
     Parameters
     ----------
     photo : array_like, linear light, 1 = full scale
-    rng : numpy.random.Generator
     photons_full_scale : float, optional
         Photons that value 1 stands for; no photon noise when omitted.
     read_sigma : float
@@ -120,10 +104,7 @@ def add_noise(
         raise ValueError(f"read_sigma: must be a non-negative number, got {read_sigma}")
     noisy = clean
     if photons_full_scale is not None:
-        if not (math.isfinite(photons_full_scale) and photons_full_scale > 0):
-            raise ValueError(
-                f"photons_full_scale: must be a positive number, got {photons_full_scale}"
-            )
+        check_positive("photons_full_scale", photons_full_scale)
         if clean.size and clean.min() < -1e-6:
             raise ValueError(
                 f"photo: light must be non-negative to count photons, got {clean.min():.3g}"
@@ -153,7 +134,6 @@ def photograph(
     motion : Trajectory or (S, S) PSF
         A trajectory is drawn in the smallest odd frame that holds it; a coded exposure comes as
         its light-true PSF.
-    rng : numpy.random.Generator
     borders : {"real", "symmetric"}
         Light comes from beyond the photo, as :func:`blur_valid`, or is mirrored there, as
         :func:`blur_symmetric`.
@@ -198,35 +178,26 @@ def border_px(borders: str, psf_px: int = PSF_PX) -> int:
 
 
 def to_display(linear: ArrayLike, *, gamma: float | None = None) -> FloatArray:
-    """Encode linear light for display; odd in the value, so noise below 0 survives.
+    """Encode linear light for display, by a power law or the sRGB curve where ``gamma`` is None.
 
-    Parameters
-    ----------
-    linear : array_like, linear light 0..1
-    gamma : float, optional
-        Exponent of a pure power law; the sRGB curve when omitted.
+    It is odd in the value, so noise below 0 survives.
     """
     light = np.asarray(linear, dtype=np.float64)
     size = np.abs(light)
     if gamma is not None:
-        return np.copysign(size ** (1 / _checked_gamma(gamma)), light)
+        check_positive("gamma", gamma)
+        return np.copysign(size ** (1 / gamma), light)
     high = 1.055 * np.maximum(size, _SRGB_KNEE_LINEAR) ** (1 / 2.4) - 0.055
     return np.copysign(np.where(size <= _SRGB_KNEE_LINEAR, 12.92 * size, high), light)
 
 
 def to_linear(display: ArrayLike, *, gamma: float | None = None) -> FloatArray:
-    """Decode display values to linear light: the inverse of :func:`to_display`.
-
-    Parameters
-    ----------
-    display : array_like, 0..1
-    gamma : float, optional
-        Exponent of a pure power law; the sRGB curve when omitted.
-    """
+    """Decode display values to linear light: the inverse of :func:`to_display`."""
     value = np.asarray(display, dtype=np.float64)
     size = np.abs(value)
     if gamma is not None:
-        return np.copysign(size ** _checked_gamma(gamma), value)
+        check_positive("gamma", gamma)
+        return np.copysign(size**gamma, value)
     high = ((np.maximum(size, _SRGB_KNEE_DISPLAY) + 0.055) / 1.055) ** 2.4
     return np.copysign(np.where(size <= _SRGB_KNEE_DISPLAY, size / 12.92, high), value)
 
@@ -245,9 +216,3 @@ def _checked(sharp: ArrayLike, psf: ArrayLike) -> tuple[FloatArray, FloatArray]:
     if kernel.ndim != 2 or kernel.size == 0:
         raise ValueError(f"psf: must be (S, S), got shape {kernel.shape}")
     return image, kernel
-
-
-def _checked_gamma(gamma: float) -> float:
-    if not (math.isfinite(gamma) and gamma > 0):
-        raise ValueError(f"gamma: must be a positive number, got {gamma}")
-    return gamma

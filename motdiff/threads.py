@@ -108,13 +108,7 @@ def side_by_side(
 
     One at a time within :func:`one_thread`, and fewer where the environment says so: a process
     that shares the machine with others of its kind, as a benchmark's workers do, is started with
-    ``OMP_NUM_THREADS``.
-
-    Parameters
-    ----------
-    jobs : sequence of callables
-    tell : callable, optional
-        Called with the number of finished jobs.
+    ``OMP_NUM_THREADS``. ``tell`` gets the number of finished jobs.
     """
     import torch
 

@@ -129,17 +129,8 @@ class Trajectory:
     ) -> Trajectory:
         """Make a trajectory from raw samples: times are rescaled to 0..1 and the path is centred.
 
-        Parameters
-        ----------
-        xy : (T, 2) array_like, px
-        t : (T,) array_like, optional
-            Strictly increasing times in any unit; evenly spaced when omitted.
-        direction : {"known", "unknown"}
-
-        Raises
-        ------
-        ValueError
-            As the constructor.
+        The times may have any unit; they are evenly spaced when omitted. Errors are those of the
+        constructor.
         """
         points = np.asarray(xy, dtype=np.float64)
         times = np.linspace(0, 1, len(points)) if t is None else np.asarray(t, dtype=np.float64)
@@ -214,15 +205,9 @@ class Trajectory:
         """Return the path with fewer samples, always within ``tolerance_px`` of this one.
 
         Its OTF differs by at most ``2 pi |f| tolerance_px``. Made for paths of a million samples,
-        in about a second.
-
-        Raises
-        ------
-        ValueError
-            If the tolerance is not a positive number.
+        in about a second. ValueError if the tolerance is not a positive number.
         """
-        if not (np.isfinite(tolerance_px) and tolerance_px > 0):
-            raise ValueError(f"tolerance_px: must be a positive number, got {tolerance_px}")
+        check_positive("tolerance_px", tolerance_px)
         # centring the thinned path moves it by no more than it was moved on average
         knots = thinned_knots(self.t, self.xy, 0.5 * tolerance_px)
         return Trajectory.from_samples(self.xy[knots], t=self.t[knots], direction=self.direction)
@@ -245,14 +230,8 @@ class Trajectory:
     def otf(self, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike) -> ComplexArray:
         r"""Exact OTF, ``H(f) = integral_0^1 exp(-2 pi i f . p(t)) dt``, at any real frequencies.
 
-        Parameters
-        ----------
-        fx_cy_px, fy_cy_px : array_like, broadcast together, cycles/px
-
-        Returns
-        -------
-        complex ndarray of the broadcast shape. No pixel grid is involved; multiply by
-        :func:`bilinear_otf` or :func:`pixel_aperture_otf` for sampling.
+        Frequencies in cycles/px broadcast together, and the result has their shape. No pixel grid
+        is involved; multiply by :func:`bilinear_otf` or :func:`pixel_aperture_otf` for sampling.
         """
         (otf,) = self.slice_otfs((0.0, 1.0), fx_cy_px, fy_cy_px)
         return np.asarray(otf, dtype=np.complex128)
@@ -262,10 +241,7 @@ class Trajectory:
     ) -> ComplexArray:
         """Exact OTF of each time slice, (slices, ...): they sum to that of the span of the edges.
 
-        Parameters
-        ----------
-        edges : (slices + 1,) increasing times within 0..1
-        fx_cy_px, fy_cy_px : array_like, broadcast together, cycles/px
+        The edges are increasing times within 0..1, the frequencies as of :meth:`otf`.
         """
         fx, fy = np.broadcast_arrays(
             np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64)
@@ -289,12 +265,8 @@ class Trajectory:
     def psf(self, size: int = PSF_PX) -> FloatArray:
         """PSF (size, size), summing to 1, zero displacement at index ``size // 2``.
 
-        The path's measure seen through the bilinear hat of each pixel, integrated exactly.
-
-        Raises
-        ------
-        ValueError
-            If the path does not fit the frame; the message says which size would.
+        The path's measure seen through the bilinear hat of each pixel, integrated exactly. The
+        ValueError for a path that does not fit the frame says which size would.
         """
         (psf,) = self.slice_psfs((0.0, 1.0), size)
         return np.asarray(psf, dtype=np.float64)
@@ -319,12 +291,7 @@ class Trajectory:
         """Binary map (256, 256) of the path at a pitch of 1/4 px, one pixel wide and 8-connected.
 
         Displacement d px sits at index ``129.5 + 4 d``, so that 4 x 4 box means land on the 64-px
-        PSF's grid.
-
-        Raises
-        ------
-        ValueError
-            If the path leaves the 64-px field.
+        PSF's grid. ValueError if the path leaves the 64-px field.
         """
         samples = int(np.ceil(8 * self.length_px)) + 2
         index = np.rint(MAP_CENTRE + MAP_PITCH * self.arc_resampled(samples)).astype(np.intp)
@@ -337,6 +304,12 @@ class Trajectory:
         pixels = thin_path(index)
         hr[pixels[:, 1], pixels[:, 0]] = 1
         return hr
+
+
+def check_positive(name: str, value: float) -> None:
+    """Refuse a value that is no positive, finite number; the ValueError names it."""
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: must be a positive number, got {value}")
 
 
 def checked_points(name: str, points: ArrayLike) -> FloatArray:
@@ -413,16 +386,8 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
     That takes O(T log T), or O(T) where nothing can be joined, and gives up to a few times as many
     samples as the fewest possible.
 
-    Parameters
-    ----------
-    t : (T,) float, increasing
-    xy : (T, 2) float, px
-    tolerance_px : float
-        Largest distance, at equal times, between the path and the one through the chosen samples.
-
-    Returns
-    -------
-    (K,) int, increasing, from 0 to T - 1
+    ``tolerance_px`` is the largest distance, at equal times, between the path and the one through
+    the chosen samples, (K,) from 0 to T - 1.
     """
     is_knot = np.ones(t.size, dtype=bool)
     joined = np.ones(t.size - 1, dtype=bool)  # whether each block of intervals is straight
@@ -451,13 +416,7 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
 
 
 def check_length(trajectory: Trajectory) -> None:
-    """Refuse a path of more than :data:`LONGEST_PX`, before work that grows with its length.
-
-    Raises
-    ------
-    ValueError
-        If it is longer.
-    """
+    """Refuse a path of more than :data:`LONGEST_PX`, before work that grows with its length."""
     if trajectory.length_px > LONGEST_PX:
         raise ValueError(
             f"trajectory: the path is {trajectory.length_px:.6g} px long, at most {LONGEST_PX:g}"

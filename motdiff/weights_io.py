@@ -24,10 +24,7 @@ _SMALLEST_WEIGHT = 1e-30  # a filter may be all zeros
 def read_header(path: Path | str) -> dict[str, str]:
     """Read the header of a safetensors file, without torch.
 
-    Raises
-    ------
-    ValueError
-        If it cannot be read.
+    ValueError if it cannot be read.
     """
     try:
         with regular_file(path).open("rb") as stream:
@@ -43,10 +40,7 @@ def read_header(path: Path | str) -> dict[str, str]:
 def read_card(path: Path | str, schema: str) -> dict[str, Any]:
     """Read the JSON object that the header of a weights file holds under the name of its schema.
 
-    Raises
-    ------
-    ValueError
-        If the file is of another schema.
+    ValueError if the file is of another schema.
     """
     header = read_header(path)
     if schema not in header:
@@ -62,15 +56,7 @@ def read_card(path: Path | str, schema: str) -> dict[str, Any]:
 def halved(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tensor]:
     """Turn the floating-point tensors of a network's state into float16, ready to be saved.
 
-    Parameters
-    ----------
-    source : path
-        Name in error messages.
-
-    Raises
-    ------
-    ValueError
-        If float16 cannot hold a value.
+    ValueError, which names the ``source``, if float16 cannot hold a value.
     """
     tensors = {
         name: (t.half() if t.is_floating_point() else t).contiguous() for name, t in state.items()
@@ -86,17 +72,8 @@ def packed(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tens
     """Pack a network's state in half the bytes of :func:`halved`: matrices and filters in 8 bits.
 
     The weights of each output are whole multiples, -127 to 127, of a step of its own, which is
-    stored under the tensor's name and ".step". Biases and norms stay float16.
-
-    Parameters
-    ----------
-    source : path
-        Name in error messages.
-
-    Raises
-    ------
-    ValueError
-        If float16 cannot hold a value.
+    stored under the tensor's name and ".step". Biases and norms stay float16. ValueError as of
+    :func:`halved`.
     """
     tensors = halved(state, source=source)
     for name, tensor in state.items():
@@ -112,12 +89,7 @@ def packed(state: Mapping[str, Tensor], *, source: Path | str) -> dict[str, Tens
 def write_with_card(
     tensors: Mapping[str, Tensor], target: Path | str, *, schema: str, card: Mapping[str, Any]
 ) -> int:
-    """Write tensors, halved or packed, with a JSON card under their schema; returns the bytes.
-
-    Parameters
-    ----------
-    target : .safetensors file to write
-    """
+    """Write tensors, halved or packed, with a JSON card under their schema; returns the bytes."""
     from safetensors.torch import save
 
     # safetensors shuffles a header's entries: one alone gives the same bytes for the same run
@@ -129,10 +101,7 @@ def write_with_card(
 def read_tensors(path: Path | str) -> dict[str, Tensor]:
     """Read the tensors of a weights file, packed or not, those of floating point as float32.
 
-    Raises
-    ------
-    ValueError
-        If a packed tensor's steps are not one for each output.
+    ValueError if a packed tensor's steps are not one for each output.
     """
     with safe_open(str(path), framework="pt") as file:
         stored = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118, not a dict
@@ -153,15 +122,8 @@ def read_tensors(path: Path | str) -> dict[str, Tensor]:
 def filled(network: _Network, path: Path | str, *, schema: str | None = None) -> _Network:
     """Fill a network on the CPU from a weights file: eval mode, no gradients, channels last.
 
-    Parameters
-    ----------
-    schema : str, optional
-        Of the file, as in :func:`read_card`; not checked when omitted.
-
-    Raises
-    ------
-    ValueError
-        If the file is of another schema, or its tensors do not fit.
+    ValueError if the file is of another schema than asked for, see :func:`read_card`, or its
+    tensors do not fit.
     """
     import torch
 

@@ -95,15 +95,8 @@ class Sources:
 class LiveSource:
     """Samples simulated on the fly: no two steps have the same photo.
 
-    Parameters
-    ----------
-    bank : MotionBank
-    scenes : sequence of (3, H, W) uint8 tensors
-        Sharp photos, on the bank's device.
-    photography : Photography
-    photo, physics : bool
-        Inputs of the network.
-    seed : int
+    The scenes are sharp photos, (3, H, W) uint8, on the bank's device; ``photo`` and ``physics``
+    are the inputs that the network takes.
     """
 
     bank: MotionBank
@@ -137,14 +130,8 @@ class LiveSource:
 class PreparedSource:
     """Prepared samples, shuffled anew every epoch, each turned and mirrored at random.
 
-    Parameters
-    ----------
-    samples : Samples
-        From :func:`motdiff.training.prepared.read_shards`.
-    photo, physics : bool
-        Inputs of the network.
-    symmetries : bool
-        Whether to turn and mirror.
+    The samples are those of :func:`motdiff.training.prepared.read_shards`; ``photo`` and
+    ``physics`` are the inputs that the network takes.
     """
 
     def __init__(
@@ -222,14 +209,7 @@ def _joined(batches: Sequence[Batch]) -> Batch:
 def make_sources(
     config: TrainingConfig, *, device: torch.device | str = "cpu", workers: int = 1
 ) -> Sources:
-    """Read or simulate the samples of the run.
-
-    Parameters
-    ----------
-    device : torch.device or str
-        Where photos are simulated.
-    workers : int
-        Processes that draw the bank of motions.
+    """Read or simulate the samples of the run; photos on the ``device``, motions by ``workers``.
 
     Raises
     ------

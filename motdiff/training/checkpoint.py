@@ -65,11 +65,7 @@ def write_checkpoint(file: Path | str, checkpoint: Checkpoint) -> None:
     target = Path(file)
     target.parent.mkdir(parents=True, exist_ok=True)
     tensors = {name: t.detach().cpu().contiguous() for name, t in checkpoint.tensors.items()}
-    card = {
-        "step": checkpoint.step,
-        "seconds": checkpoint.seconds,
-        "config": checkpoint.config,
-    }
+    card = {"step": checkpoint.step, "seconds": checkpoint.seconds, "config": checkpoint.config}
     write_with_card(tensors, target, schema=_SCHEMA, card=card)
 
 

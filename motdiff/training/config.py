@@ -22,13 +22,11 @@ class DataConfig:
     photos : str
         Sharp photos: a folder, or a pack from ``python -m motdiff pack``. Every ``held_out``-th is
         for validation.
-    held_out : int
     motions : int
         Size of the bank of motions; 0 draws new ones for every shard (prepared samples only).
     prepared : str
         Folder of prepared samples (``python -m motdiff prepare``) instead of simulation on the
         fly; "" for none.
-    prepared_validation : str
     validation : int
         Number of validation samples.
     physics_dropout : float
@@ -100,7 +98,6 @@ class OptimiserConfig:
     rate, last_rate : float
         Adam's rate, from the first to the last along a cosine, after ``warm_up`` steps of linear
         rise.
-    warm_up : int
     ema : float
         Decay of the averaged weights, which are the ones used.
     clip : float
@@ -118,7 +115,6 @@ class OptimiserConfig:
     only : {"", "photo"}
         "photo" trains the photo encoder and the layer that adds its features, which shows the
         encoder's own gain. "" trains all.
-    seed : int
     """
 
     steps: int = 60_000

@@ -45,16 +45,9 @@ class RunLog:
             print(f"{self._clear}{text}", file=sys.stderr, flush=True)  # noqa: T201
 
     def step(self, step: int, losses: Losses, *, batch: int, seconds: float) -> None:
-        """Note an update; every 50 are one row of the file.
+        """Note the updates done, of ``batch`` samples each; every 50 are one row of the file.
 
-        Parameters
-        ----------
-        step : int
-            Updates done.
-        batch : int
-            Samples per update.
-        seconds : float
-            Time spent over all pieces.
+        ``seconds`` were spent over all pieces.
         """
         if not self._enabled:
             return
@@ -79,13 +72,8 @@ class RunLog:
     def resume(self, step: int, *, scheduled: bool) -> bool:
         """Delete the rows of later steps; returns whether there is a validation of ``step``.
 
-        Parameters
-        ----------
-        step : int
-            Updates done.
-        scheduled : bool
-            Whether a single piece would validate at this step. One that was made only because a
-            piece ended there is deleted as well.
+        One that was made only because a piece ended there, where a single piece would not be
+        ``scheduled`` to validate, is deleted as well.
         """
         path = self._folder / "log.csv"
         if not path.exists():

@@ -143,16 +143,7 @@ def draw_motion(
 ) -> Trajectory:
     """Draw one motion of the mix that fits the 64-px frame.
 
-    Parameters
-    ----------
-    trace : GyroTrace, optional
-        The recording, where the mix has gyro-driven motion.
-
-    Raises
-    ------
-    ValueError
-        If no drawn motion fits the frame: the lengths are too large; or the mix has gyro-driven
-        motion and there is no trace.
+    ValueError if no drawn motion fits, or the mix has gyro-driven motion and there is no trace.
     """
     return _draw(mix, rng, trace)[1]
 
@@ -213,13 +204,7 @@ def dwell_on_map(motion: Trajectory, hr_map: NDArray[np.uint8]) -> NDArray[np.fl
 
 
 def build_bank(mix: MotionMix, *, count: int, seed: int, workers: int = 1) -> MotionBank:
-    """Draw ``count`` motions, see :func:`drawn_motions`.
-
-    Parameters
-    ----------
-    workers : int
-        Processes; about 6 ms of one core per motion.
-    """
+    """Draw ``count`` motions, see :func:`drawn_motions`, in about 6 ms of one core each."""
     if count < 1:
         raise ValueError(f"count: must be at least 1, got {count}")
     if workers == 1:

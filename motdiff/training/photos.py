@@ -22,16 +22,10 @@ PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp")
 def load_photos(
     source: Path | str, *, least_px: int, most_px: int = 640, device: str = "cpu"
 ) -> list[Tensor]:
-    """Read every photo of a folder (with its subfolders) or of a pack.
+    """Read every photo of a folder (with its subfolders) or of a pack from :func:`pack_photos`.
 
-    Parameters
-    ----------
-    source : folder, or .zip file from :func:`pack_photos`
-    least_px : int, px
-        Photos with a shorter side are left out.
-    most_px : int, px
-        Photos with a longer short side are shrunk to it: the detail of a full-size photo is softer
-        than a kernel.
+    Photos with a shorter side than ``least_px`` are left out. Those with a longer short side than
+    ``most_px`` are shrunk to it: the detail of a full-size photo is softer than a kernel.
 
     Returns
     -------
@@ -56,24 +50,9 @@ def load_photos(
 def pack_photos(
     source: Path | str, target: Path | str, *, most_px: int = 512, quality: int = 92
 ) -> int:
-    """Pack a folder's photos as JPEGs into one .zip file, to travel to another machine.
+    """Pack a folder's photos as JPEGs into one .zip file, to travel; returns its bytes.
 
-    Parameters
-    ----------
-    target : .zip file to write
-    most_px : int, px
-        Photos with a longer short side are shrunk to it.
-    quality : int
-        JPEG quality.
-
-    Returns
-    -------
-    int, bytes written
-
-    Raises
-    ------
-    ValueError
-        If there is no photo.
+    Photos with a longer short side than ``most_px`` are shrunk to it. ValueError without a photo.
     """
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_STORED) as pack:
@@ -93,17 +72,7 @@ def load_scenes(
 ) -> tuple[list[Tensor], list[Tensor]]:
     """Read a run's photos: those to train on, and every ``held_out``-th for validation.
 
-    Parameters
-    ----------
-    source, held_out
-        ``data.photos`` and ``data.held_out`` of the run.
-    least_px, device
-        As of :func:`load_photos`.
-
-    Raises
-    ------
-    ValueError
-        If there are no photos, or too few: one line that names the entry of the run's file.
+    ValueError, which names the entry of the run's file, if there are none or too few.
     """
     if not Path(source).exists():
         raise ValueError(
@@ -130,10 +99,7 @@ def crops(
 
     Parameters
     ----------
-    photos : sequence of (3, H, W) uint8
-        None smaller than the crops.
-    count, size : int
-        Number of crops; their side, px.
+    photos : sequence of (3, H, W) uint8, none smaller than the crops
     generator : torch.Generator
         On the CPU: where the crops lie does not depend on the device.
 

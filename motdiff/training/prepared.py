@@ -66,17 +66,7 @@ def prepare(
     shards: range,
     on_shard: Callable[[int], None] = lambda _shard: None,
 ) -> None:
-    """Write the missing ones of the ``shards``, 64 samples each.
-
-    Parameters
-    ----------
-    folder : path, made when missing
-    source : Source
-    shards : range
-        Numbers of the files; several processes can share the work by strides.
-    on_shard : callable, optional
-        Called with the number of every finished shard.
-    """
+    """Write the missing ones of the ``shards``, 64 samples each, as :func:`write_shards`."""
 
     def simulated_arrays(shard: int) -> dict[str, NDArray[np.generic]]:
         motions = source.motions_of(shard, SHARD_SAMPLES)
@@ -88,10 +78,7 @@ def prepare(
 def read_source(config_file: Path | str, *, held_out: bool) -> Source:
     """Read the source of a run's samples from its TOML file, with its training or held-out scenes.
 
-    Raises
-    ------
-    ValueError
-        If the file is not valid, names no photos, or these cannot be used.
+    ValueError if the file is not valid, names no photos, or these cannot be used.
     """
     config = read_config(config_file)
     if not config.data.photos:
@@ -103,17 +90,12 @@ def read_source(config_file: Path | str, *, held_out: bool) -> Source:
 
 
 def read_shards(folder: Path | str) -> Samples:
-    """Read every shard of a folder into memory (photos as luminance; about 110 KB a sample).
+    """Read every shard of a folder into memory (about 110 KB a sample); ValueError without one.
 
     Returns
     -------
-    Samples with uint8 photos (B, 1, 256, 256) holding ``255 sqrt(light)``, float16 kernels and
-    dwell, uint8 x0
-
-    Raises
-    ------
-    ValueError
-        If there are none.
+    Samples with uint8 photos (B, 1, 256, 256), luminance as ``255 sqrt(light)``, float16 kernels
+    and dwell, uint8 x0
     """
     missing = "prepared samples (shard_*.npz); write them with: python -m motdiff prepare"
     return joined(load_shards(folder, name=_NAME, load=samples_of, missing=missing))
@@ -183,13 +165,10 @@ def write_shards(
     make: Callable[[int], Mapping[str, NDArray[np.generic]]],
     on_shard: Callable[[int], None],
 ) -> None:
-    """Write the missing ones of the shards.
+    """Write the missing ones of the shards; several processes can share the work by strides.
 
     Parameters
     ----------
-    folder : path, made when missing
-    shards : range
-        Numbers of the files; several processes can share the work by strides.
     name : str
         First part of the files' names.
     make : callable
@@ -215,7 +194,7 @@ def load_shards(
     load: Callable[[Mapping[str, NDArray[np.generic]]], _Loaded],
     missing: str,
 ) -> list[_Loaded]:
-    """Load every shard of a folder, in the order of the numbers.
+    """Load every shard of a folder, in order; ValueError if there are none, or one is damaged.
 
     Parameters
     ----------
@@ -225,11 +204,6 @@ def load_shards(
         From the arrays of a file to the samples.
     missing : str
         Kind of the files and the command that writes them: the end of the error without any.
-
-    Raises
-    ------
-    ValueError
-        If there are none, or one is damaged.
     """
     files = sorted(Path(folder).glob(f"{name}_*.npz"))
     if not files:

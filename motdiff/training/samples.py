@@ -55,18 +55,11 @@ def simulate(
     physics: bool,
     seed: int,
 ) -> Samples:
-    """Take one photo per motion of the bank, each of a scene drawn at random.
+    """Take one photo per motion ``index`` (B,) of the bank, each of a scene drawn at random.
 
-    Parameters
-    ----------
-    scenes : sequence of (3, H, W) uint8
-        Sharp photos on the bank's device.
-    index : (B,) int64
-        Motions to use, on the bank's device.
-    physics : bool
-        Whether to run the quick classical searches and to register the motions to their kernels.
-    seed : int
-        Everything random follows from it.
+    The scenes, sharp photos (3, H, W) uint8, and the index are on the bank's device. ``physics``
+    adds the quick classical searches and registers the motions to their kernels. Everything random
+    follows from the seed.
     """
     device = index.device
     on_cpu = torch.Generator().manual_seed(seed)

@@ -244,14 +244,9 @@ class Trainer:
 
 @torch.no_grad()
 def follow(average: nn.Module, network: nn.Module, *, old_share: float, step: int) -> None:
-    """Take a network's weights of a step into their running average.
+    """Take a network's weights into their running average, ``step`` updates done before.
 
-    Parameters
-    ----------
-    old_share : float
-        Share of the old weights in the average, once there are enough of them.
-    step : int
-        Updates done before.
+    ``old_share`` is that of the old weights, once there are enough of them.
     """
     # early on the average follows fast, as in TensorFlow's ExponentialMovingAverage: else it would
     # remember the random start

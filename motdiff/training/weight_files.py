@@ -38,12 +38,10 @@ def export_weights(
     card: Mapping[str, object] | None = None,
     validation_mnc: float | None = None,
 ) -> int:
-    """Write the averaged weights of a run, with its configuration in the header.
+    """Write the averaged weights of a run, its configuration in the header; returns the bytes.
 
     Parameters
     ----------
-    checkpoint : file of a checkpoint
-    target : .safetensors file to write
     offset : float
         Taken from the path's logits. A loss that weighs path pixels more makes the network say too
         often that a pixel is on the path; sampled with such probabilities, uncertain regions are
@@ -52,10 +50,6 @@ def export_weights(
         Further entries of the header: figures, data.
     validation_mnc : float, optional
         Of the run's log, for its line of the history.
-
-    Returns
-    -------
-    int, bytes written
 
     Raises
     ------
@@ -68,24 +62,18 @@ def export_weights(
         raise ValueError(f"{checkpoint}: holds no checkpoint")
     # ema: exponential moving averages of the weights over the steps
     tensors = packed(trained.under("ema."), source=checkpoint)
-    if offset and _OUTPUT_BIAS not in tensors:
-        raise ValueError(f"offset: must be 0 for weights without a denoiser, got {offset:g}")
     if offset:
-        bias = tensors[_OUTPUT_BIAS].clone()
-        bias[0] -= offset
-        tensors[_OUTPUT_BIAS] = bias
+        if _OUTPUT_BIAS not in tensors:
+            raise ValueError(f"offset: must be 0 for weights without a denoiser, got {offset:g}")
+        tensors[_OUTPUT_BIAS][0] -= offset
+    line = _line(trained.step, trained.seconds, trained.config, validation_mnc)
     header = {
         "schema": SCHEMA,
         "config": json.dumps(_without_folders(trained.config)),
         "step": str(trained.step),
         "seconds": f"{trained.seconds:.0f}",
         "offset": f"{offset:g}",
-        "history": json.dumps(
-            [
-                *_earlier(trained.config),
-                _line(trained.step, trained.seconds, trained.config, validation_mnc),
-            ]
-        ),
+        "history": json.dumps([*_earlier(trained.config), line]),
         "card": json.dumps(dict(card or {})),
     }
     data = _in_order(save(tensors, header), header)
@@ -133,12 +121,7 @@ def load_start(network: ConditionNetwork, path: Path | str) -> None:
     """Copy a weights file into ``network``: all if they are the same, else its condition network.
 
     A photo encoder or a global view that the file lacks makes no other network: it keeps its
-    values, which are silent.
-
-    Raises
-    ------
-    ValueError
-        If the file is not one of ours, or its condition network has other sizes.
+    values, which are silent. ValueError for a file that is not one of ours, or of other sizes.
     """
     ours = network.config
     theirs = replace(network_config(path), dropout=ours.dropout)  # dropout has no weights
