@@ -36,20 +36,8 @@ _UNITS = {
     "readout_s": "seconds",
 }
 """Figures that are 0 or more, with their units in words."""
-_STATED = (
-    "name",
-    "kind",
-    "source",
-    "full_well_e",
-    "gain_e_per_dn",
-    "dark_current_e_s",
-    "least_exposure_s",
-    "trigger_delay_s",
-    "trigger_jitter_s",
-    "readout_s",
-    "exposure_offset_s",
-)
-"""Fields written only where they are stated: a camera without them keeps its document, which
+_ALWAYS_WRITTEN = ("photons_full_scale", "read_noise_e", "bits", "response", "black_level")
+"""Others are written only where they are stated: a camera without them keeps its document, which
 caches are keyed by."""
 
 
@@ -252,18 +240,10 @@ class Camera:
         return {"photons_full_scale": self.photons_full_scale, "read_sigma": read_sigma}
 
     def noise_variance(self, signal: ArrayLike, *, integration_s: ArrayLike = 0.0) -> FloatArray:
-        """Variance of a pixel of mean ``signal``: shot, read, dark and quantisation noise.
+        """Variance of pixels of mean ``signal`` (...): shot, read, dark and quantisation noise.
 
-        Parameters
-        ----------
-        signal : (...) array_like, linear light 0..1
-        integration_s : (...) array_like
-            Seconds for which dark current is integrated, as
-            :attr:`cep.optics.code.ShutterCode.integration_ns` says; at 0 it is not counted.
-
-        Returns
-        -------
-        (...) float ndarray
+        Dark current is integrated for so many seconds (...), as
+        :attr:`cep.optics.code.ShutterCode.integration_ns` says; at 0 it is not counted.
         """
         light = np.clip(np.asarray(signal, dtype=np.float64), 0.0, 1.0)
         # the variance of a Poisson number is its mean: signal / N in units of full scale
@@ -271,21 +251,12 @@ class Camera:
         step = self._code_slope(light) / self.code_steps
         dark = self.dark_e(integration_s) / self.photons_full_scale**2
         # rounding to steps is an error of uniform density: variance step^2 / 12
-        return np.asarray(
-            shot + self.noise["read_sigma"] ** 2 + dark + step**2 / 12, dtype=np.float64
-        )
+        return np.asarray(shot + self.noise["read_sigma"] ** 2 + dark + step**2 / 12)
 
     def expose(self, light: ArrayLike, *, rng: np.random.Generator) -> FloatArray:
-        """Record light: shot noise, read noise, clipping, rounding to code values.
+        """Record (...) light of an exposure: shot noise, read noise, clipping, rounding.
 
-        Parameters
-        ----------
-        light : (...) array_like, linear light collected in the exposure, 0..1
-        rng : numpy Generator
-
-        Returns
-        -------
-        (...) float ndarray, linear light ``-black_level``..1, on the camera's code values.
+        The result is linear light ``-black_level``..1, on the camera's code values.
         """
         clean = np.maximum(np.asarray(light, dtype=np.float64), 0.0)  # a Poisson mean
         return self.quantise(add_noise(clean, rng, **self.noise))
@@ -304,10 +275,9 @@ class Camera:
 
     def to_dict(self) -> dict[str, Any]:
         """Fields as a JSON document with its schema; unstated ones are left out."""
-        entries = {
-            key: value for key, value in asdict(self).items() if key not in _STATED or value
-        }
-        return {"schema": SCHEMA, **entries}
+        entries = asdict(self).items()
+        stated = {key: value for key, value in entries if key in _ALWAYS_WRITTEN or value}
+        return {"schema": SCHEMA, **stated}
 
     @classmethod
     def load(cls, name_or_file: str | Path) -> Camera:
@@ -320,10 +290,8 @@ class Camera:
         OSError
             If the file cannot be read.
         """
-        if isinstance(name_or_file, Path) or Path(name_or_file).suffix.lower() in (
-            ".json",
-            ".toml",
-        ):
+        suffix = Path(name_or_file).suffix.lower()
+        if isinstance(name_or_file, Path) or suffix in (".json", ".toml"):
             return cls.from_file(name_or_file)
         names = camera_names()
         if name_or_file in names:
@@ -342,10 +310,7 @@ class Camera:
     def from_dict(cls, document: Mapping[str, Any]) -> Camera:
         """Make a camera from a document; missing fields and schema take their defaults.
 
-        Raises
-        ------
-        ValueError
-            If the schema or a field is not known, or a value is out of range.
+        ValueError if the schema or a field is not known, or a value is out of range.
         """
         values = {key: value for key, value in document.items() if key != "schema"}
         if (schema := document.get("schema", SCHEMA)) != SCHEMA:
@@ -358,14 +323,9 @@ class Camera:
 
     @classmethod
     def from_file(cls, path: Path | str) -> Camera:
-        """Read a camera from ``.json`` or ``.toml``.
+        """Read a camera from ``.json`` or ``.toml``; OSError if the file cannot be read.
 
-        Raises
-        ------
-        ValueError
-            If the file is of another kind or does not describe a camera; the line names the file.
-        OSError
-            If the file cannot be read.
+        ValueError, which names the file, if it is of another kind or describes no camera.
         """
         read = {".json": read_json, ".toml": read_toml}[_suffix(path)]
         document: Any = read(path)
@@ -379,13 +339,7 @@ class Camera:
             raise ValueError(f"{path}: {one_line(error)}") from None
 
     def to_file(self, path: Path | str) -> None:
-        """Write the camera as ``.json`` or ``.toml``, whole or not at all.
-
-        Raises
-        ------
-        ValueError
-            If the file name ends otherwise.
-        """
+        """Write the camera as ``.json`` or ``.toml``, else ValueError, whole or not at all."""
         document = self.to_dict()
         text = json.dumps(document, indent=1) + "\n"
         if _suffix(path) == ".toml":

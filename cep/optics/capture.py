@@ -33,9 +33,6 @@ def capture(
         which sums to the open fraction of the exposure and holds its code already.
     code : ShutterCode, optional
         Of an exposure along a trajectory; the open shutter when omitted. A coded photo is darker.
-    camera : Camera, optional
-        ``Camera()`` when omitted.
-    rng : numpy Generator
     borders : {"real", "symmetric"}
         As of :func:`motdiff.simulate.photograph`, which takes the photo.
 

@@ -23,12 +23,6 @@ class ShutterCode:
     chip_ns : int
         Duration of a chip, ns.
 
-    Attributes
-    ----------
-    bits : str
-        Text of 0 and 1.
-    chip_ns : int
-
     Raises
     ------
     ValueError
@@ -126,13 +120,7 @@ class ShutterCode:
         return sum(bit for bit, _ in self.runs)
 
     def complement(self) -> ShutterCode:
-        """Return the code that is open where this one is closed.
-
-        Raises
-        ------
-        ValueError
-            If no chip of this one is closed.
-        """
+        """Return the code that is open where this one is closed; ValueError if that is none."""
         return ShutterCode(self.bits.translate(str.maketrans("01", "10")), self.chip_ns)
 
     def reversed(self) -> ShutterCode:

@@ -74,19 +74,10 @@ def open_path(
 ) -> OpenPath:
     """Cut the path at the chips and keep the pieces of open ones.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    code : ShutterCode
-    response : ShutterResponse, optional
-        How the shutter opens and closes; at once when omitted. Its chip time counts, not the
-        code's. Under the tail of the last chip, beyond the exposure, the motion is extrapolated by
-        :func:`cep.optics.timeline.extended`.
-
-    Raises
-    ------
-    ValueError
-        If a chip is shorter than the shutter takes to open or close.
+    A shutter without ``response`` opens and closes at once. With it its chip time counts, not the
+    code's. Under the tail of the last chip, beyond the exposure, the motion is extrapolated by
+    :func:`cep.optics.timeline.extended`. ValueError if a chip is shorter than the shutter takes to
+    open or close.
     """
     # at once, the path needs no extension beyond the exposure
     if response is None:
@@ -100,23 +91,11 @@ def open_path(
 
 
 def chip_basis(
-    trajectory: Trajectory,
-    chips: int,
-    fx_cy_px: ArrayLike,
-    fy_cy_px: ArrayLike,
+    trajectory: Trajectory, chips: int, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike
 ) -> ComplexArray:
-    """OTF ``B_k(f)`` of every chip; for an instant shutter the coded OTF is ``sum_k c_k B_k``.
+    """OTF ``B_k(f)`` (n, ...) of each of n chips at (...) frequencies, cycles/px.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    chips : int
-        Number n of chips in the exposure.
-    fx_cy_px, fy_cy_px : (...) array_like, cycles/px
-
-    Returns
-    -------
-    (n, ...) complex ndarray
+    For an instant shutter the coded OTF is ``sum_k c_k B_k``.
     """
     return trajectory.slice_otfs(even_edges(chips), fx_cy_px, fy_cy_px)
 
@@ -166,10 +145,8 @@ def chip_rows(
     Parameters and errors are those of :func:`open_path` and :func:`chip_basis`. Only for an
     instant shutter are the rows of the reversed path those of the path in the opposite order.
 
-    Returns
-    -------
-    (n, 2, 2, ...) complex ndarray, read-only; without a response the four are one and the same
-    memory.
+    Returned are (n, 2, 2, ...) complex numbers, read-only; without a response the four are one and
+    the same memory.
     """
     shape = np.broadcast_shapes(np.shape(fx_cy_px), np.shape(fy_cy_px))
     if response is None or response.instant:
@@ -225,16 +202,10 @@ def coded_otf(
     *,
     response: ShutterResponse | None = None,
 ) -> ComplexArray:
-    """Exact OTF of the coded exposure at (...) frequencies, light-true.
+    """Exact, light-true OTF of the coded exposure at (...) frequencies, cycles/px.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    code : ShutterCode
-        Its chips are spread evenly over the exposure; ``chip_ns`` does not count.
-    fx_cy_px, fy_cy_px : (...) array_like, cycles/px
-    response : optional
-        As in :func:`open_path`.
+    The chips are spread evenly over the exposure; ``chip_ns`` does not count. ``response`` is that
+    of :func:`open_path`.
     """
     return open_path(trajectory, code, response=response).otf(fx_cy_px, fy_cy_px)
 
@@ -242,14 +213,9 @@ def coded_otf(
 def mtf(
     trajectory: Trajectory, code: ShutterCode | None, fx_cy_px: ArrayLike, fy_cy_px: ArrayLike
 ) -> FloatArray:
-    """Exact, light-true MTF of the exposure at (...) frequencies.
+    """Exact, light-true MTF of the exposure at (...) frequencies, cycles/px.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    code : ShutterCode or None
-        None: the shutter is open all the time.
-    fx_cy_px, fy_cy_px : (...) array_like, cycles/px
+    Without a code the shutter is open all the time.
 
     Examples
     --------
@@ -273,12 +239,8 @@ def coded_psf(
 ) -> FloatArray:
     """Light-true coded PSF (size, size), zero displacement at index ``size // 2``.
 
-    ``response`` is that of :func:`open_path`.
-
-    Raises
-    ------
-    ValueError
-        If the path leaves the frame; the message has a sufficient size.
+    ``response`` is that of :func:`open_path`. The ValueError for a path that leaves the frame has
+    a sufficient size.
 
     Examples
     --------
@@ -316,14 +278,9 @@ def played_psf(played: Timeline, code: ShutterCode, size: int) -> FloatArray:
 def shifted_psf(
     trajectory: Trajectory, code: ShutterCode, shift_px: ArrayLike = (0.0, 0.0)
 ) -> FloatArray:
-    """Light-true coded PSF of a path that is moved as a whole, in the odd frame that holds it.
+    """Light-true coded PSF of a path moved by ``shift_px``, in the odd frame that holds it.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    code : ShutterCode
-    shift_px : (2,) array_like, px
-        To the right and down.
+    The shift (2,) is to the right and down.
     """
     xy = trajectory.xy + np.asarray(shift_px)
     frame = 2 * int(np.ceil(np.abs(xy).max())) + 3

@@ -21,19 +21,8 @@ def chip_sums(
 ) -> NDArray[np.complex128]:
     """Sum the weighted transforms ``exp(-i pi f.(a + b)) sinc(f.(b - a))`` chip by chip.
 
-    Parameters
-    ----------
-    a, b : (S, 2) float, px
-        Starts and ends; each piece starts where the last one ended.
-    weights : (W, S) float
-    chip : (S,) int
-        Ascending, below ``chips``.
-    chips : int
-    f : (2, F) float, cycles/px
-
-    Returns
-    -------
-    (W, chips, F) complex ndarray
+    Pieces (S, 2), px, start where the last one ended; ``chip`` (S,) is ascending, below ``chips``.
+    With weights (W, S) and frequencies (2, F), cycles/px, the sums are (W, chips, F).
     """
     delta = b - a
     same_step = np.zeros(len(a), dtype=np.bool_)

@@ -92,19 +92,10 @@ class FramePair:
     def of(
         cls, first: ArrayLike, second: ArrayLike, *, codes: ArrayLike | None = None
     ) -> FramePair:
-        """Measure two frames.
+        """Measure two frames of uint8 or uint16 code values; ValueError if their shapes differ.
 
-        Parameters
-        ----------
-        first, second : (...) uint8 or uint16 array_like
-            Code values, the same shape.
-        codes : (65536,) float array_like, optional
-            Light that each code value stands for, where that is not the code value itself.
-
-        Raises
-        ------
-        ValueError
-            If the shapes differ.
+        ``codes`` (65536,) are the light that each code value stands for, where that is not the
+        code value itself.
         """
         dn_a = np.asarray(first)
         dn_b = np.asarray(second)
@@ -167,17 +158,7 @@ def find_code_range(
     Cameras of 10, 12 or 14 bits write 16-bit files with their code values at the lower end,
     shifted to the upper end, or spread over the whole range.
 
-    Parameters
-    ----------
-    pairs : sequence of FramePair
-    file_bits : {8, 16}
-    bits : int, optional
-        Of the camera, where known.
-
-    Raises
-    ------
-    ValueError
-        If the camera cannot have so many bits.
+    The file's bits are 8 or 16. ValueError if the camera cannot have as many as are stated.
     """
     if bits is not None and not 1 <= bits <= file_bits:
         raise ValueError(

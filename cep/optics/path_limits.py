@@ -23,12 +23,9 @@ _MOST_WORK = 2**29  # samples times pixels of the frame: minutes of a code's fig
 def check_frame(trajectory: Trajectory) -> None:
     """Refuse a path too long, or one too dense or, where it is bent, too wide to be measured.
 
-    Raises
-    ------
-    ValueError
-        If the path is longer than :data:`motdiff.trajectory.LONGEST_PX`, the PSF would need a
-        frame of more than :data:`LARGEST_FRAME_PX`, or there are more samples than
-        :data:`MOST_SAMPLES`, of a wide path fewer.
+    ValueError if it is longer than :data:`motdiff.trajectory.LONGEST_PX`, the PSF would need a
+    frame of more than :data:`LARGEST_FRAME_PX`, or there are more samples than
+    :data:`MOST_SAMPLES`, of a wide path fewer.
     """
     check_length(trajectory)
     if uniform_length_px(trajectory) is not None:
@@ -59,11 +56,8 @@ def resolved_chips(trajectory: Trajectory) -> int:
 def check_resolved(trajectory: Trajectory, chips: int) -> None:
     """Refuse a code with more chips than the path can tell apart.
 
-    Raises
-    ------
-    ValueError
-        If a chip covers less than a quarter of a pixel on average; the line says how many chips
-        would do, or how long a path where there is none.
+    That is one whose chips cover less than a quarter of a pixel on average; the ValueError says
+    how many chips would do, or how long a path where there is none.
     """
     if chips > 1 and stays_in_place(trajectory):
         raise ValueError(

@@ -163,8 +163,7 @@ def photon_transfer(
     black_dn : float, optional
         Code value without light, where there are no dark frames; 0 when omitted.
     response : {"linear", "srgb"}
-        Curve on which the code values are evenly spaced; the statistics of the pairs are those of
-        linear light.
+        Curve on which the code values are evenly spaced; the pairs are of linear light.
 
     Raises
     ------

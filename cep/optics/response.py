@@ -119,8 +119,7 @@ class ShutterResponse:
         # a straight ramp passes half of its light: each pulse loses delay and half a rise
         gain_ns = self.on_bias_ns + 0.5 * self.fall_ns - self.on_delay_ns - 0.5 * self.rise_ns
         return np.asarray(
-            (is_open.sum(axis=1) + pulses * gain_ns / self.chip_ns) / is_open.shape[1],
-            dtype=np.float64,
+            (is_open.sum(axis=1) + pulses * gain_ns / self.chip_ns) / is_open.shape[1]
         )
 
     @staticmethod

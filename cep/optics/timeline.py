@@ -102,19 +102,9 @@ def timeline(
 ) -> Timeline:
     """Cut a played exposure into pieces of constant velocity and transmission.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    edges : (n + 1,) float
-        Of the chips, as fractions of the exposure; :func:`even_edges` of a code on time.
-    response : ShutterResponse, optional
-    code : ShutterCode, optional
-        Only its own transitions are cut then; every possible one when omitted.
-
-    Raises
-    ------
-    ValueError
-        If a chip is shorter than the shutter takes to open or close.
+    The edges (n + 1,) are those of the chips, as fractions of the exposure: :func:`even_edges` of
+    a code on time. With a code only its own transitions are cut, else every possible one.
+    ValueError if a chip is shorter than the shutter takes to open or close.
     """
     chips = len(edges) - 1
     shutter = response or ShutterResponse(chip_ns=1.0)
