@@ -100,13 +100,7 @@ def names() -> tuple[str, ...]:
 
 
 def published(name: str) -> PublishedCode:
-    """Look up a code by name.
-
-    Raises
-    ------
-    ValueError
-        If there is none; the line lists the names.
-    """
+    """Look up a code by name; ValueError, which lists the names, if there is none."""
     if name not in _REGISTRY:
         raise ValueError(f"name: no published code {name!r}; there are {', '.join(names())}")
     return _REGISTRY[name]

@@ -76,9 +76,7 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     Raises
     ------
     ValueError
-        If it is none of these; the line says so.
-    OSError
-        If the file cannot be read.
+        If it is none of these; the line says so. OSError if the file cannot be read.
     """
     if source.startswith(COMPLEMENT):
         stored = find_code(source.removeprefix(COMPLEMENT), chip_ns=chip_ns)

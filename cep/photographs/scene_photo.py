@@ -53,14 +53,9 @@ class ScenePhoto:
 
     @classmethod
     def read(cls, path: Path | str) -> ScenePhoto:
-        """Read a photo.
+        """Read a photo; OSError if that fails.
 
-        Raises
-        ------
-        ValueError
-            If it is no photo, too small, flat, or more than 20 % of it are clipped.
-        OSError
-            If it cannot be read.
+        ValueError if it is no photo, too small, flat, or more than 20 % of it are clipped.
         """
         pixels = read_photo(path, min_side_px=LEAST_PX).pixels
         clipped = float(clipped_mask(pixels).mean())
@@ -85,12 +80,7 @@ class ScenePhoto:
     def crops(self, paths: Sequence[Trajectory]) -> tuple[FloatArray, ...]:
         """Cut parts as large as photos along the paths need, at most 12, in a random order.
 
-        They are disjoint where four fit.
-
-        Raises
-        ------
-        ValueError
-            If the photo is smaller than one.
+        They are disjoint where four fit. ValueError if the photo is smaller than one.
         """
         height, width = needed_px(paths)
         rows, columns = self.light.shape
@@ -141,18 +131,8 @@ def fitted_levels(scene: Scene, *, noise_db: float = -np.inf) -> FloatArray:
 def fitted_scene(pictures: Sequence[FloatArray], *, name: str) -> Scene:
     """Fit a scene to the mean band levels of pictures, with white noise that is no part of it.
 
-    Exponent and fall are drawn weakly to those of photographs, the knee is theirs.
-
-    Parameters
-    ----------
-    pictures : sequence of (H, W) float ndarrays, linear light
-        Of at least 64 px a side.
-    name : str
-
-    Raises
-    ------
-    ValueError
-        If the pictures show noise alone.
+    Exponent and fall are drawn weakly to those of photographs, the knee is theirs. The pictures
+    (H, W), in linear light, have 64 px a side or more. ValueError if they show noise alone.
     """
     from scipy.optimize import least_squares
 

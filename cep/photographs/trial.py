@@ -44,14 +44,6 @@ def restored(photo: FloatArray, psf: FloatArray, *, camera: Camera) -> FloatArra
     return pnp(fill_clipped(photo, psf), psf, camera=camera)
 
 
-def restored_together(
-    photos: Sequence[FloatArray], psfs: Sequence[FloatArray], *, cameras: Sequence[Camera]
-) -> FloatArray:
-    """Restore photos as :func:`cep.restoration.together.restore_together` does where they lie."""
-    light = [fill_clipped(photo, psf) for photo, psf in zip(photos, psfs, strict=True)]
-    return pnp_together(light, psfs, cameras=cameras)
-
-
 @dataclass(frozen=True)
 class PhotoTrial:
     """Photos of photographs along motions, each through any code, restored as by default.
@@ -98,14 +90,8 @@ class PhotoTrial:
     ) -> FloatArray:
         """PSNR, dB, of the restored photos in linear light, (codes, photographs).
 
-        Parameters
-        ----------
-        codes : sequence of ShutterCode, or of tuples of them
-            A tuple holds those of cameras side by side.
-        numbers : sequence of int, optional
-            Which photographs; all when omitted.
-        tell : callable
-            Called with the number of finished photos.
+        A tuple of codes holds those of cameras side by side. ``numbers`` say which photographs,
+        all when omitted; ``tell`` gets the number of finished photos.
         """
         if numbers is None:
             numbers = range(len(self.photographs))
@@ -138,7 +124,8 @@ class PhotoTrial:
         if len(codes) == 1:
             image = self.restore(photos[0], psfs[0], camera=cameras[0])
         else:
-            image = restored_together(photos, psfs, cameras=cameras)
+            light = [fill_clipped(photo, psf) for photo, psf in zip(photos, psfs, strict=True)]
+            image = pnp_together(light, psfs, cameras=cameras)
         compared = _middle(np.clip(image, 0, 1), side_px, side_px)
         truth = _middle(scene, side_px, side_px)
         if true_path is path:

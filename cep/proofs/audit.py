@@ -124,17 +124,13 @@ class Audit:
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep audit --json`` prints them."""
         certificate = self.certificate.to_dict()
-        del certificate["trajectory"]  # the path is the one that was asked for
-        custom: dict[str, Any] = {}
-        if self.figures:
-            custom["figures"] = dict(self.figures)
         return {
             "bits": self.code.bits,
             "chips": self.code.chips,
             "open": self.code.open_chips,
             "duty": self.code.duty,
             **self.metrics.to_dict(),
-            **custom,
+            **({"figures": dict(self.figures)} if self.figures else {}),
             "motion": {
                 "length_px": self.trajectory.length_px,
                 "direction": self.trajectory.direction,
@@ -256,34 +252,30 @@ def _dc(code: ShutterCode, trajectory: Trajectory | None) -> float:
 def grid_claims(
     code: ShutterCode, trajectory: Trajectory | None, truth: float
 ) -> tuple[GridClaim, ...]:
-    """Compare the minima on common grids with the true minimum.
+    """Compare the minima on common grids with the true minimum over the continuum.
 
-    Parameters
-    ----------
-    code : ShutterCode
-    trajectory : Trajectory, optional
-        Chip units when omitted: the DFT of the bits, padded with zeros.
-    truth : float
-        Minimum over the continuum.
+    Without a trajectory they are in chips: the DFT of the bits, padded with zeros.
     """
-    dc = _dc(code, trajectory)
-    claims = []
+    minima: dict[tuple[int, str], float] = {}
     if trajectory is None:
         n = code.chips
-        for points, name in {n: "n", 2 * n: "2n", 3 * n: "3n", 64: "64", 16 * n: "16n"}.items():
+        names = {n: "n", 2 * n: "2n", 3 * n: "3n", 64: "64", 16 * n: "16n"}
+        for points, name in sorted(names.items()):
             if points >= n:  # a shorter DFT would cut the code
-                lowest = float(np.abs(np.fft.rfft(code.array, points)).min())
-                verdict = _verdict(lowest, truth, dc)
-                claims.append(GridClaim(f"{name}-point DFT", points, lowest, verdict))
-        return tuple(sorted(claims, key=lambda claim: claim.points))
-    paths = paths_by_direction(trajectory).values()
-    for points in (32, 64, 128, 256):
-        fx, fy = band(points)
-        half = fy <= 0  # |H| is even
-        lowest = min(float(mtf(path, code, fx[half], fy[half]).min()) for path in paths)
-        verdict = _verdict(lowest, truth, dc)
-        claims.append(GridClaim(f"{points} x {points} FFT", points, lowest, verdict))
-    return tuple(claims)
+                spectrum = np.abs(np.fft.rfft(code.array, points))
+                minima[points, f"{name}-point DFT"] = float(spectrum.min())
+    else:
+        paths = paths_by_direction(trajectory).values()
+        for points in (32, 64, 128, 256):
+            fx, fy = band(points)
+            half = fy <= 0  # |H| is even
+            lowest = min(float(mtf(path, code, fx[half], fy[half]).min()) for path in paths)
+            minima[points, f"{points} x {points} FFT"] = lowest
+    dc = _dc(code, trajectory)
+    return tuple(
+        GridClaim(name, points, lowest, _verdict(lowest, truth, dc))
+        for (points, name), lowest in minima.items()
+    )
 
 
 def better_neighbours(
@@ -294,23 +286,9 @@ def better_neighbours(
     Every combination is evaluated on a grid of frequencies, up to the first at which it is no
     better than this code. The minima of the best ones are then found over the continuum.
 
-    Parameters
-    ----------
-    code : ShutterCode
-    trajectory : Trajectory, optional
-        Where the minimum counts; an unknown direction counts as the worse one. Chip units when
-        omitted.
-    flips : int
-        Most chips changed, up to 3.
-
-    Returns
-    -------
-    tuple of Neighbour, fewest flips first; empty when no neighbour is better.
-
-    Raises
-    ------
-    ValueError
-        If ``flips`` is not 0 to 3.
+    The minima count along the trajectory, of an unknown direction the worse one; in chips without
+    a trajectory. The fewest flips come first, and there may be none. ValueError if ``flips`` is
+    not 0 to 3.
     """
     if not 0 <= flips <= 3:
         raise ValueError(f"flips: must be 0 to 3, got {flips}")
@@ -322,23 +300,19 @@ def better_neighbours(
     im = np.ascontiguousarray(basis[:, order].imag)
     change = 1 - 2 * chips
     to_beat = max(_WORTH * _exact(code, trajectory), _NO_ZERO * _dc(code, trajectory))
+    changes = (re * change[:, None], im * change[:, None])
+    starts = (chips @ re, chips @ im)
     neighbours: list[Neighbour] = []
     for count in range(1, min(flips, code.chips) + 1):
         scores = np.full(_REFINED, to_beat**2)
         places = np.full((_REFINED, 3), -1, dtype=np.int64)
-        _scan(
-            re * change[:, None],
-            im * change[:, None],
-            chips @ re,
-            chips @ im,
-            count,
-            scores,
-            places,
-        )
+        _scan(*changes, *starts, count, scores, places)
         exact = []
         for row in places[places[:, -1] >= 0, -count:].tolist():
-            neighbour = _flipped(code, row)
-            if neighbour is not None:
+            flipped = code.array
+            flipped[row] = 1 - flipped[row]
+            if flipped.any():  # all closed is no code
+                neighbour = ShutterCode(flipped, chip_ns=code.chip_ns)
                 minimum = _exact(neighbour, trajectory)
                 exact.append(Neighbour(tuple(k + 1 for k in row), neighbour, minimum))
         best = max(exact, key=lambda neighbour: neighbour.minimum, default=None)
@@ -414,14 +388,6 @@ def _scan(
                         at += 1
                     scores[at] = lowest
                     places[at, 0], places[at, 1], places[at, 2] = i, j, k
-
-
-def _flipped(code: ShutterCode, places: list[int]) -> ShutterCode | None:
-    chips = code.array
-    chips[places] = 1 - chips[places]
-    if not chips.any():  # all closed is no code
-        return None
-    return ShutterCode(chips, chip_ns=code.chip_ns)
 
 
 def _exact(code: ShutterCode, trajectory: Trajectory | None) -> float:

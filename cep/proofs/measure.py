@@ -35,7 +35,29 @@ OwnFigure = float | tuple[float, float]
 
 
 @dataclass(frozen=True)
-class CodeMetrics:
+class _Figures:
+    """Fields of figures for JSON and for tables, in which infinite noise gains are no numbers."""
+
+    def to_dict(self) -> dict[str, float | None]:
+        """Fields for JSON; noise gains above :data:`HOPELESS_DB` are None, null in JSON."""
+        figures: dict[str, float | None] = asdict(self)
+        return {
+            name: None if self._is_hopeless(name) else value for name, value in figures.items()
+        }
+
+    def in_words(self, name: str) -> float | str | None:
+        """One field for a table: "> 100" for a noise gain above :data:`HOPELESS_DB`."""
+        if self._is_hopeless(name):
+            return f"> {HOPELESS_DB:.0f}"
+        value: float | None = getattr(self, name)
+        return value
+
+    def _is_hopeless(self, name: str) -> bool:
+        return name in _GAINS and not getattr(self, name) <= HOPELESS_DB
+
+
+@dataclass(frozen=True)
+class CodeMetrics(_Figures):
     """Figures of one code along one trajectory, light-true: an all-open code has H(0) = 1.
 
     Attributes
@@ -67,24 +89,9 @@ class CodeMetrics:
     dnf_db: float
     mse_db: float
 
-    def to_dict(self) -> dict[str, float | None]:
-        """Fields for JSON; noise gains above :data:`HOPELESS_DB` are None, null in JSON."""
-        figures: dict[str, float | None] = asdict(self)
-        return figures | dict.fromkeys(filter(self._is_hopeless, _GAINS))
-
-    def in_words(self, name: str) -> float | str | None:
-        """One field for a table: "> 100" for a noise gain above :data:`HOPELESS_DB`."""
-        if self._is_hopeless(name):
-            return f"> {HOPELESS_DB:.0f}"
-        value: float | None = getattr(self, name)
-        return value
-
-    def _is_hopeless(self, name: str) -> bool:
-        return name in _GAINS and not getattr(self, name) <= HOPELESS_DB
-
 
 @dataclass(frozen=True)
-class PairMetrics:
+class PairMetrics(_Figures):
     """Figures of two cameras restored together, the worst of scenarios and directions.
 
     Attributes
@@ -102,18 +109,6 @@ class PairMetrics:
     noise_gain_db: float
     mse_db: float
 
-    def to_dict(self) -> dict[str, float | None]:
-        """Fields for JSON; a noise gain above :data:`HOPELESS_DB` is None, null in JSON."""
-        figures: dict[str, float | None] = asdict(self)
-        return figures | ({} if self.noise_gain_db <= HOPELESS_DB else {"noise_gain_db": None})
-
-    def in_words(self, name: str) -> float | str:
-        """One field for a table: "> 100" for a noise gain above :data:`HOPELESS_DB`."""
-        if name == "noise_gain_db" and not self.noise_gain_db <= HOPELESS_DB:
-            return f"> {HOPELESS_DB:.0f}"
-        figure: float = getattr(self, name)
-        return figure
-
 
 def measure(
     trajectory: Trajectory,
@@ -128,8 +123,6 @@ def measure(
 
     Parameters
     ----------
-    trajectory : Trajectory
-    code : ShutterCode
     camera : Camera, optional
         For ``mse_db``; ``Camera()`` when omitted. Its dark current counts for the code's
         integration time.
@@ -208,10 +201,7 @@ def measure_worst(
 def find_figures(references: Iterable[str]) -> dict[str, FigureOfMerit]:
     """Import user-defined figures of merit, each ``module:name``, and key them by these names.
 
-    Raises
-    ------
-    ValueError
-        If there is no such object, or it is no function.
+    ValueError if there is no such object, or it is no function.
     """
     figures = {reference: load_object(reference) for reference in references}
     for reference, figure in figures.items():
@@ -225,17 +215,8 @@ def own_figures(
 ) -> dict[str, OwnFigure]:
     """Evaluate user-defined figures of merit; in both directions where it is unknown.
 
-    Parameters
-    ----------
-    figures : mapping from a name to a function
-        It takes (trajectory, code), the trajectory with a known direction, and returns a number.
-    trajectory : Trajectory
-    code : ShutterCode
-
-    Raises
-    ------
-    ValueError
-        If a function fails or returns no number; the line names it.
+    A function takes (trajectory, code), the trajectory with a known direction, and returns a
+    number. ValueError, which names it, if it fails or returns none.
 
     Examples
     --------

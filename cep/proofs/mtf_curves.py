@@ -26,24 +26,15 @@ def main_axis(trajectory: Trajectory) -> FloatArray:
     return np.asarray(vectors[:, int(np.argmax(values))], dtype=np.float64)
 
 
-def mtf_curve(
-    trajectory: Trajectory, code: ShutterCode | None, *, samples: int = 501
-) -> tuple[FloatArray, FloatArray]:
-    """MTF along the motion's main axis, light-true.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    code : ShutterCode, optional
-        The open shutter when omitted.
-    samples : int
+def mtf_curve(trajectory: Trajectory, code: ShutterCode | None) -> tuple[FloatArray, FloatArray]:
+    """MTF along the motion's main axis, light-true; of the open shutter where there is no code.
 
     Returns
     -------
-    freq_cy_px : (samples,) float, 0..0.5 cycles/px
-    mtf : (samples,) float, 0..1
+    freq_cy_px : (501,) float, 0..0.5 cycles/px
+    mtf : (501,) float, 0..1
     """
-    freq_cy_px = np.linspace(0, 0.5, samples)
+    freq_cy_px = np.linspace(0, 0.5, 501)
     axis = main_axis(trajectory)
     return freq_cy_px, mtf(trajectory, code, freq_cy_px * axis[0], freq_cy_px * axis[1])
 
@@ -71,15 +62,13 @@ class MtfRow:
 
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON: bits, curve, metrics, and the user's own ``figures`` if any."""
-        fields: dict[str, Any] = {
+        return {
             "bits": self.code and self.code.bits,
             "freq_cy_px": self.freq_cy_px,
             "mtf": self.mtf,
             **self.metrics.to_dict(),
+            **({"figures": dict(self.figures)} if self.figures else {}),
         }
-        if self.figures:
-            fields["figures"] = dict(self.figures)
-        return fields
 
 
 def compare_mtfs(
@@ -93,8 +82,6 @@ def compare_mtfs(
 
     Parameters
     ----------
-    trajectory : Trajectory
-    codes : mapping from a name to a code
     figures : mapping from a name to a function, optional
         Figures of merit of the user's own, see :func:`cep.proofs.measure.own_figures`.
     on_checked : callable, optional

@@ -160,14 +160,10 @@ def run_chain(
 
     Parameters
     ----------
-    scene : Scene
-    camera : Camera
-    exposure_s : float
     device : DeviceProfile, optional
         Shutter that must be able to play the code; without it any code can be played.
     chips : int, optional
         When omitted one for each px of the path, at most 64; with a device as many as pay.
-    seed : int
     motion : SceneMotion, optional
         By :func:`find_motion` when omitted.
     levels : sequence of float

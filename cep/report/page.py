@@ -95,23 +95,9 @@ def write_demo(
 ) -> Mapping[str, object]:
     """Write the page and the files that it names.
 
-    Parameters
-    ----------
-    folder : path of a folder, made when missing
-    chain : Chain
-    options : str
-        How camera and device are named on a command line, for the commands in the report.
-    force : bool
-        Whether existing files may be replaced.
-
-    Returns
-    -------
-    mapping : the figures, as in ``demo.json``
-
-    Raises
-    ------
-    ValueError
-        If a file exists and ``force`` is not given, or the folder cannot be written to.
+    ``options`` name camera and device on a command line, for the commands in the report. Returned
+    are the figures, as in ``demo.json``. ValueError if a file exists and ``force`` is not given,
+    or the folder cannot be written to.
     """
     target = Path(folder)
     figures = {"schema": DEMO_SCHEMA, "report": str(target / "report.html"), **_figures(chain)}
@@ -129,30 +115,25 @@ def write_demo(
             if kind in restored and (chain.coded or name not in _OF_A_CODE):
                 write_image(temporary / name, restored[kind])
         if chain.code is not None:
-            metrics = chain.problem.measure(chain.code).to_dict()
-            certificate = chain.certificate.to_dict()
             described = {
                 "objective": "mse",
                 "chips": chain.code.chips,
                 "device": chain.device and chain.device.to_dict(),
             }
-            write_code(
-                temporary / "code.json", StoredCode(chain.code, metrics, described, certificate)
-            )
+            metrics = chain.problem.measure(chain.code).to_dict()
+            stored = StoredCode(chain.code, metrics, described, chain.certificate.to_dict())
+            write_code(temporary / "code.json", stored)
             program = Program(chain.code.bits, chip_ns=chain.code.chip_ns)
             for name, file_format in _PROGRAMS.items():
                 with suppress(ValueError):  # the sketch plays chips of 50 us to 32 ms only
-                    write_text(
-                        temporary / name,
-                        export_program(program, file_format, device=chain.device),
-                    )
+                    text = export_program(program, file_format, device=chain.device)
+                    write_text(temporary / name, text)
             write_image(temporary / "coded.png", chain.advised_shot.photo, bits=16)
         png = pictures(chain)
         for name in PICTURE_FILES:
             if name in png:
                 (temporary / f"{name}.png").write_bytes(png[name])
-        page = html(chain, png, options=options)
-        write_text(temporary / "report.html", page)
+        write_text(temporary / "report.html", html(chain, png, options=options))
         write_text(temporary / "demo.json", json_text(figures))
     return figures
 
@@ -160,7 +141,6 @@ def write_demo(
 def _figures(chain: Chain) -> dict[str, object]:
     verdict = chain.advice.here
     psnr_db = {shot.kind: shot.psnr_db for shot in chain.shots}
-    camera = chain.problem.camera
     return {
         "sharpened": chain.sharpened and chain.sharpened.summary,
         "verdict": chain.verdict,
@@ -178,7 +158,7 @@ def _figures(chain: Chain) -> dict[str, object]:
         "bits": chain.code and chain.code.bits,
         "chips": chain.problem.chips,
         "chip_ns": chain.problem.chip_ns,
-        "camera": camera.to_dict(),
+        "camera": chain.problem.camera.to_dict(),
         "device": chain.device and chain.device.name,
         "seed": chain.seed,
         "warnings": [*chain.scene.warnings, *chain.estimate.warnings],
@@ -228,15 +208,9 @@ def pictures(chain: Chain) -> dict[str, bytes]:
 
 
 def html(chain: Chain, png: Mapping[str, bytes] | None = None, *, options: str = "") -> str:
-    """Render the page of a chain; every text in it is escaped.
+    """Render the page of a chain, by :func:`pictures` when omitted; every text is escaped.
 
-    Parameters
-    ----------
-    chain : Chain
-    png : mapping, optional
-        By :func:`pictures` when omitted.
-    options : str
-        How camera and device are named on a command line.
+    ``options`` name camera and device on a command line.
     """
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup  # the script is the package's

@@ -76,18 +76,10 @@ def bundled_picture() -> FloatArray:
 def bundled_scene(
     camera: cep.Camera, *, rng: np.random.Generator, side_px: int | None = None
 ) -> Scene:
-    """Take a photo of the bundled picture with a shaking hand.
-
-    Parameters
-    ----------
-    camera : Camera
-    rng : numpy Generator
-    side_px : int, optional
-        Side of the part around the middle of the picture; all of it when omitted.
-    """
+    """Take a photo of the bundled picture, or of so large a middle, with a shaking hand."""
     sharp = bundled_picture()
-    side_px = side_px or len(sharp)
-    sharp = centre_crop(sharp, side_px, side_px)
+    if side_px is not None:
+        sharp = centre_crop(sharp, side_px, side_px)
     shortest_px, longest_px = _LENGTH_PX
     motion = quadratic(rng, min_length_px=shortest_px, max_length_px=longest_px, max_bend=_BEND)
     photo = cep.capture(sharp, motion.psf(motion.frame_size() | 1), camera=camera, rng=rng)

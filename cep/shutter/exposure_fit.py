@@ -133,7 +133,10 @@ def fit_exposure(
     """
     rows = flashes.brightness.shape[1]
     shortest_s = min(float(np.diff(pulses, axis=1).min()) for pulses in flashes.pulses_s)
-    table = _banded(flashes, _band_rows(rows, guess.row_s, shortest_s), shortest_s)
+    alike = rows // _BANDS
+    if guess.row_s:
+        alike = min(alike, _BAND_SHARE * shortest_s / abs(guess.row_s))
+    table = _banded(flashes, int(max(1, alike)), shortest_s)
     window = guess
     start_visible = unseen_before_s is None
     jitter_s, energy = _JITTER_GUESS * shortest_s, _ENERGY_GUESS
@@ -187,11 +190,6 @@ class _Table:
     noise: FloatArray
     weight: FloatArray
     row: FloatArray
-
-
-def _band_rows(rows: int, row_s: float, flash_s: float) -> int:
-    alike = _BAND_SHARE * flash_s / abs(row_s) if row_s else np.inf
-    return int(max(1, min(rows // _BANDS, alike)))
 
 
 def _banded(flashes: Flashes, size: int, flash_s: float) -> _Table:
@@ -255,17 +253,22 @@ class _Model:
 
     def step(self, jitter_s: float, energy: float) -> FloatArray:
         """Return the change of start, length and row time (3,) that fits best; 0 if not free."""
-        fisher, score, _ = self._normal(self._kernel(np.array(jitter_s), np.array(energy))[0])
+        fisher, score, _ = self._normal_at(jitter_s, energy)
         return self._window_values(np.asarray(np.linalg.lstsq(fisher, score, rcond=1e-10)[0]))
 
     def square(self, jitter_s: float, energy: float) -> float:
         """Return the sum of squares of the residuals, weighted by their covariance."""
-        return float(self._normal(self._kernel(np.array(jitter_s), np.array(energy))[0])[2])
+        return float(self._normal_at(jitter_s, energy)[2])
 
     def deviations(self, jitter_s: float, energy: float) -> FloatArray:
         """Return the standard deviations of start, length and row time (3,); 0 if not free."""
-        fisher, _, _ = self._normal(self._kernel(np.array(jitter_s), np.array(energy))[0])
+        fisher, _, _ = self._normal_at(jitter_s, energy)
         return self._window_values(np.sqrt(np.diag(np.linalg.inv(fisher))))
+
+    def _normal_at(
+        self, jitter_s: float, energy: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        return self._normal(self._kernel(np.array(jitter_s), np.array(energy))[0])
 
     def _window_values(self, values: np.ndarray[Any, Any]) -> FloatArray:
         window = np.zeros(3)
@@ -318,11 +321,10 @@ def _model(
     rate, black, weight = _levels(table, overlap, np.abs(by_start))
     # where a flash begins or ends with the exposure, the model is smoother than the frame
     corner = np.maximum(lit_start * (1 - lit_start), lit_end * (1 - lit_end))
-    table_noise = np.hypot(table.noise, 2 * smoothing_s * rate * np.maximum(corner, 0))
+    noise = np.hypot(table.noise, 2 * smoothing_s * rate * np.maximum(corner, 0))
     by_start, by_end = rate * by_start, rate * lit_end
     light = rate * overlap
     residual = table.brightness - black - light
-    noise = table_noise
     if inflate:
         noise = _inflated(noise, residual, light, by_start, weight)
     precision = weight / noise**2
@@ -367,7 +369,7 @@ def _levels(
     """
     steady = table.weight * (sensitivity < _INSENSITIVE)
     dark = steady * (overlap < _INSENSITIVE * table.flash_s) / table.noise**2
-    black = _mean(table.brightness, dark)
+    black = _ratio(table.brightness, np.ones_like(dark), dark, axis=0)
     light = table.brightness - black
     flash = steady * (overlap > 0.3 * table.flash_s) / table.noise**2
     # rows share the energy of a frame: neighbours that other frames lit must not differ by it
@@ -389,10 +391,6 @@ def _ratio(values: FloatArray, model: FloatArray, weight: FloatArray, *, axis: i
     return np.asarray(product / np.maximum(square, 1e-300))
 
 
-def _mean(values: FloatArray, weight: FloatArray) -> FloatArray:
-    return np.asarray((weight * values).sum(axis=0) / np.maximum(weight.sum(axis=0), 1e-300))
-
-
 def _inflated(
     noise: FloatArray,
     residual: FloatArray,
@@ -403,10 +401,8 @@ def _inflated(
     """Raise the noise to what the steady rows show, each frame's common energy taken out."""
     floor = np.maximum(noise, 1e-6 * np.abs(light).max())
     steady = weight * (np.abs(by_start) < _INSENSITIVE * np.abs(by_start).max()) / floor**2
-    share = (steady * light * residual).sum(axis=1) / np.maximum(
-        (steady * light**2).sum(axis=1), 1e-300
-    )
-    deviations = ((residual - share[:, None] * light) / floor)[steady > 0]
+    share = _ratio(residual, light, steady, axis=1)
+    deviations = ((residual - share * light) / floor)[steady > 0]
     spread = 1.4826 * float(np.median(np.abs(deviations))) if deviations.size else 1.0
     return np.asarray(floor * max(1.0, spread))
 
@@ -430,6 +426,5 @@ def _likely(values: FloatArray, likelihood: FloatArray, drop: float) -> Interval
     """Return the values whose log-likelihood is less below the best than ``drop``."""
     inside = np.flatnonzero(likelihood > likelihood.max() - drop)
     lower, upper = max(inside[0] - 1, 0), min(inside[-1] + 1, len(values) - 1)
-    return Interval(
-        float(values[np.argmax(likelihood)]), float(values[lower]), float(values[upper])
-    )
+    best = np.argmax(likelihood)
+    return Interval(float(values[best]), float(values[lower]), float(values[upper]))

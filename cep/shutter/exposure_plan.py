@@ -110,13 +110,7 @@ class ExposurePlan:
     ) -> Self:
         """Plan the exposure of a code; a ValueError says which setting cannot be.
 
-        Parameters
-        ----------
-        code : ShutterCode
-        settings : ShotSettings
-        release : Release
-        board_lead_ns : int
-            From the controller's trigger to its program's begin.
+        ``board_lead_ns`` passes from the controller's trigger to its program's begin.
         """
         closed_s = settings.closed_s()
         wait_s = closed_s if release is Release.HOST else 0.0

@@ -139,10 +139,7 @@ class ExposureSweep:
     def run(self) -> tuple[ExposureTiming, Flashes]:
         """Take the frames, and estimate.
 
-        Raises
-        ------
-        hw.cameras.camera.CameraError
-            If the light is not seen, clips, or is too faint.
+        CameraError says that the light is not seen, clips, or is too faint.
         """
         self._look()
         begin_s, dark_until_s = self._earliest_lit()
@@ -262,9 +259,6 @@ class ExposureSweep:
             return None
         return int(count if downward else -count)
 
-    def _first_row(self, window: Window) -> int:
-        return 0 if window.row_s >= 0 else len(self._black) - 1
-
     def _begin_s(self, window: Window, place: float = 0.0) -> float:
         """Start of the row at a share of the readout, 0 for the row that is first."""
         last = len(self._black) - 1
@@ -312,7 +306,7 @@ class ExposureSweep:
 
     def _share(self, frame: Exposed, window: Window) -> float:
         """Share of a frame's flash that the first row collected."""
-        row = self._first_row(window)
+        row = 0 if window.row_s >= 0 else len(self._black) - 1
         length_s = float(np.diff(frame.pulses_s[0])[0])
         rows = slice(row, row + 1) if window.row_s else slice(None)
         light = (frame.brightness - self._black)[rows].sum()
@@ -359,14 +353,11 @@ class ExposureSweep:
             shares = np.array([self._share(frame, window) for frame in frames])
             jitter_s = self._flash_s / 3  # at least, where a flash was missed altogether
             if ((shares > _STRADDLING[0] / 2) & (shares < 1 - _STRADDLING[0] / 2)).all():
-                jitter_s = float(
-                    np.std(
-                        [
-                            self._lateness_s(frame, share, window)
-                            for frame, share in zip(frames, shares, strict=True)
-                        ]
-                    )
-                )
+                late_s = [
+                    self._lateness_s(frame, share, window)
+                    for frame, share in zip(frames, shares, strict=True)
+                ]
+                jitter_s = float(np.std(late_s))
             if _JITTER_SIGMAS * jitter_s < 1.5 * self._flash_s:
                 return
             longest_s = min(4 * self._flash_s, window.length_s / 2)

@@ -72,13 +72,7 @@ class Playback:
 
     @property
     def code(self) -> ShutterCode:
-        """The first play's code, with its measured chip time, to the nanosecond.
-
-        Raises
-        ------
-        ValueError
-            If no chip was open.
-        """
+        """The first play's code, its measured chip time in ns; ValueError if no chip was open."""
         play = self.plays[0]
         chip_ns = self.program.chip_ns * (1 + play.scale_ppm * 1e-6)  # a slow clock: longer chips
         return ShutterCode(play.achieved, max(1, round(chip_ns)))
@@ -89,11 +83,8 @@ class Playback:
         It sums to the open part of the commanded exposure. A shutter with a slow clock plays the
         same chips over a longer stretch of the motion.
 
-        Raises
-        ------
-        ValueError
-            If the path as played leaves the frame, no chip was open, or the clock was so slow that
-            the motion is not known for as long.
+        ValueError if the path as played leaves the frame, no chip was open, or the clock was so
+        slow that the motion is not known for as long.
         """
         play = self.plays[0]
         chip_ns = self.program.chip_ns
@@ -128,11 +119,8 @@ class Playback:
 
         The code's file carries the profile of the shutter, where one is given.
 
-        Raises
-        ------
-        ValueError
-            If a file exists and ``force`` is not given, no chip was open, or the clock was so slow
-            that the motion is not known for as long.
+        ValueError if a file exists and ``force`` is not given, or as of :meth:`code` and
+        :meth:`psf`.
         """
         output = Path(path)
         play = self.plays[0]

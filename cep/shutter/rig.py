@@ -105,11 +105,8 @@ class Rig:
     def prepare(self, code: ShutterCode, settings: ShotSettings | None = None) -> ShotRecord:
         """Set the camera, load the code and read it back; nothing is armed.
 
-        Raises
-        ------
-        ValueError
-            If the controller cannot play the code, or the camera cannot expose so long, or not by
-            such a trigger. Nothing is armed.
+        ValueError if the controller cannot play the code, or the camera cannot expose so long, or
+        not by such a trigger.
         """
         settings = settings or ShotSettings()
         self._prepared = (
@@ -210,12 +207,8 @@ class Rig:
     def series(self, count: int, *, keep: Callable[[Shot], object]) -> list[Shot]:
         """Take photos one after the other; one that does not count is the last.
 
-        Parameters
-        ----------
-        count : int
-        keep : callable
-            Called with each photo as soon as it is there; once more with the last, if it turns
-            out not to count.
+        ``keep`` is called with each photo as soon as it is there; once more with the last, if it
+        turns out not to count.
         """
         shots: list[Shot] = []
         try:

@@ -139,20 +139,10 @@ class MovingScene:
     def collected(
         self, openings_s: FloatArray, *, start_s: float, end_s: float, row_s: float = 0.0
     ) -> FloatArray:
-        """Light that the sensor collects.
+        """Light (H, W) or (H, W, 3) that the sensor collects while the shutter is open.
 
-        Parameters
-        ----------
-        openings_s : (P, 2) float ndarray
-            When the shutter opened and closed.
-        start_s, end_s : float
-            Exposure of the first row.
-        row_s : float
-            By which each row is later than the one before.
-
-        Returns
-        -------
-        (H, W) or (H, W, 3) float ndarray
+        The openings (P, 2) are times of opening and closing, start and end those of the first
+        row's exposure; each row is later than the one before by ``row_s``.
         """
         late_s = row_s * np.arange(self.rows)[:, None, None]
         # (rows, P, 2): the openings, as far as each row was exposed
@@ -356,11 +346,7 @@ class TwinCamera(Camera):
 def openings_s(edges: Sequence[tuple[int, int]], trigger_s: float) -> FloatArray:
     """Return the openings of an emulated shutter, (P, 2): open and closed, s after the trigger.
 
-    Parameters
-    ----------
-    edges : sequence of (int, int)
-        Clock cycle and level of each, as of :meth:`hw.emulation.uno.EmulatedUno.edges`.
-    trigger_s : float
+    The edges are clock cycles and levels, as of :meth:`hw.emulation.uno.EmulatedUno.edges`.
     """
     cycles = [cycle for cycle, _level in edges]
     if len(cycles) % 2:

@@ -115,15 +115,8 @@ def mtf_minimum(
 ) -> Minimum:
     """Bounds of the smallest |H| over the band [-0.5, 0.5]^2 along a trajectory, light-true.
 
-    Parameters
-    ----------
-    trajectory : Trajectory
-    code : ShutterCode
-    budget : int
-        Largest number of cells of the subdivision, which may then end with a wider interval; 0 for
-        a quick upper bound.
-    response : optional
-        As in :func:`cep.optics.exposure.open_path`.
+    The subdivision has at most ``budget`` cells, and may then end with a wider interval; 0 gives a
+    quick upper bound. ``response`` is that of :func:`cep.optics.exposure.open_path`.
     """
     axis = straight_axis(trajectory)
     path = open_path(trajectory, code, response=response)

@@ -90,14 +90,8 @@ def pieces_of_code(code: ShutterCode) -> Pieces:
     middle = np.stack([chips, np.zeros(chips.size)])
     moment = np.array([[float(chips @ chips), 0.0], [0.0, 0.0]])
     slack = _EPS * chips.size * (chips.size + 100)
-    return Pieces(
-        np.ones(chips.size),
-        middle,
-        np.zeros_like(middle),
-        moment,
-        np.array([[0.0, 0.5], [0.0, 0.0]]),
-        slack,
-    )
+    box = np.array([[0.0, 0.5], [0.0, 0.0]])
+    return Pieces(np.ones(chips.size), middle, np.zeros_like(middle), moment, box, slack)
 
 
 def snapped(points: FloatArray) -> FloatArray:
@@ -121,14 +115,8 @@ def _pieces(weight: FloatArray, a: FloatArray, b: FloatArray, box: FloatArray) -
     span = float(np.abs(a).max() + np.abs(b).max()) + 1
     length = float(np.linalg.norm(b - a, axis=1).sum())
     slack = _EPS * (total * (200 * span + owner.size + 100) + 8 * len(weight) + 20 * length)
-    return Pieces(
-        share,
-        np.ascontiguousarray(middle.T),
-        np.ascontiguousarray(delta.T),
-        moment * (1 + 1e-9),
-        box,
-        slack,
-    )
+    middle, delta = (np.ascontiguousarray(points.T) for points in (middle, delta))
+    return Pieces(share, middle, delta, moment * (1 + 1e-9), box, slack)
 
 
 def jets(pieces: Pieces, points: FloatArray) -> FloatArray:

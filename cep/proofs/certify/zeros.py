@@ -121,14 +121,8 @@ def zeros_along(trajectory: Trajectory, code: ShutterCode, *, budget: int = 200_
 
     Every cell of a subdivision either keeps away from zero, or lies within the ball in which the
     Newton-Kantorovich theorem allows one zero only. A straight motion's zeros are lines across it:
-    their points on its axis are listed.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-    code : ShutterCode
-    budget : int
-        Largest number of cells before the claim to be complete is given up.
+    their points on its axis are listed. After ``budget`` cells the claim to be complete is given
+    up.
     """
     if uniform_length_px(trajectory) is not None:
         return _straight_zeros(trajectory, code)
@@ -315,14 +309,9 @@ def divided(coefficients: IntArray, order: int) -> IntArray:
 def circle_rest(coefficients: IntArray) -> IntArray | None:
     """Factor with every zero on the circle that is no root of unity; (1,) where there is none.
 
-    Parameters
-    ----------
-    coefficients : (m,) int
-        0/1 polynomial, lowest degree first, first and last coefficient not 0.
-
-    Returns
-    -------
-    (r,) int, self-reciprocal up to sign and an exact divisor, or None where it could not be found.
+    The coefficients (m,) are those of a 0/1 polynomial, lowest degree first, the first and the
+    last not 0. The factor is self-reciprocal up to sign and an exact divisor; None where it could
+    not be found.
     """
     cofactor = coefficients
     for order in vanishing_orders(coefficients):
@@ -350,14 +339,7 @@ def _is_reciprocal(coefficients: IntArray) -> bool:
 
 
 def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Real function of a self-reciprocal factor on the circle, its slope, and its rounding error.
-
-    Parameters
-    ----------
-    factor : (m,) int
-    cycles : (F,) float
-        Frequencies, cycles per chip.
-    """
+    """Real function of a self-reciprocal factor, its slope (F,), and its rounding error."""
     middle = np.arange(len(factor)) - 0.5 * (len(factor) - 1)
     # half-turns are exact in floating point, so the phase is reduced before pi comes in
     turns = np.multiply.outer(cycles, middle)
