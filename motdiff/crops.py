@@ -105,11 +105,12 @@ def clipped_mask(photo: ArrayLike) -> NDArray[np.bool_]:
 
 
 def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list[tuple[int, int]]:
-    """Choose crops that constrain the blur best, with little overlap.
+    """Choose crops that constrain the blur best: their first (row, column), the best first.
 
-    They have edges in several directions and few clipped pixels. The value of a crop is the
-    smaller eigenvalue of its structure tensor (the summed outer products of the gradient): stripes
-    of one direction, which hide the motion along them, have the value 0.
+    They have edges in several directions, few clipped pixels, and little overlap. The value of a
+    crop is the smaller eigenvalue of its structure tensor (the summed outer products of the
+    gradient): stripes of one direction, which hide the motion along them, have the value 0.
+    ValueError if the photo is not an image, or ``size`` or ``count`` is not positive.
 
     Parameters
     ----------
@@ -117,16 +118,7 @@ def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list
     size : int, px
         Side of the square crops; a smaller photo is taken whole in that direction.
     count : int
-        Most crops wanted.
-
-    Returns
-    -------
-    list of (row, column), the crops' first pixels, best first: at least one, at most ``count``.
-
-    Raises
-    ------
-    ValueError
-        If the photo is not an image, or ``size`` or ``count`` is not positive.
+        Most crops; there is at least one.
 
     References
     ----------
@@ -137,7 +129,8 @@ def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list
         raise ValueError(f"size, count: must be at least 2 and 1, got {size} and {count}")
     height, width = (min(size, n) for n in image.shape)
     clipped = clipped_mask(photo)
-    dy, dx = _gradients(image)
+    dy = np.diff(image, axis=0, append=image[-1:])
+    dx = np.diff(image, axis=1, append=image[:, -1:])
     dy[clipped], dx[clipped] = 0, 0
     rows, columns = (
         _starts(n, length) for n, length in zip(image.shape, (height, width), strict=True)
@@ -203,13 +196,6 @@ def blur_differs_warning(psfs: Sequence[ArrayLike], *, limit: float = 0.75) -> s
         f"The blur differs across the photo (mutual MNC {score:.2f} of {len(psfs)} crops): no"
         " single trajectory fits."
     )
-
-
-def _gradients(image: FloatArray) -> tuple[FloatArray, FloatArray]:
-    dy = np.zeros_like(image)
-    dx = np.zeros_like(image)
-    dy[:-1], dx[:, :-1] = np.diff(image, axis=0), np.diff(image, axis=1)
-    return dy, dx
 
 
 def _starts(length: int, size: int) -> NDArray[np.intp]:

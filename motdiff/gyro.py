@@ -74,10 +74,9 @@ class GyroTrace:
                 f"gyro trace: timestamps must strictly increase, but row {row} does not follow row"
                 f" {row - 1}"
             )
-        t.setflags(write=False)
-        rate.setflags(write=False)
-        object.__setattr__(self, "t_s", t)
-        object.__setattr__(self, "rate_rad_s", rate)
+        for name, values in (("t_s", t), ("rate_rad_s", rate)):
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
 
     @property
     def duration_s(self) -> float:
@@ -141,7 +140,8 @@ def trajectory_from_gyro(
 
     Small angles: image displacement = focal length x angle, the same over the whole photo. Roll
     about the optical axis (see :func:`roll_rad`), translation of the camera and rolling shutter
-    are left out. Rates are taken as linear between rows.
+    are left out. Rates are taken as linear between rows. ValueError if the exposure does not lie
+    within the trace, a number is not positive, or the axes are none.
 
     Parameters
     ----------
@@ -150,12 +150,6 @@ def trajectory_from_gyro(
     start_s : float, seconds
         Opening of the shutter, on the trace's clock.
     axes : str, as of :func:`image_rates_rad_s`
-
-    Raises
-    ------
-    ValueError
-        If the exposure does not lie within the trace, a number is not positive, or the axes are
-        none.
     """
     check_positive("focal_px", focal_px)
     check_positive("exposure_s", exposure_s)

@@ -22,12 +22,8 @@ _TIMES = 401  # compared of two paths
 def mnc(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
     """Maximum of normalised cross-correlation over integer shifts, in 0..1; no mean is subtracted.
 
-    The PSFs (H, W) are non-negative, and their frames may differ in size.
-
-    Raises
-    ------
-    ValueError
-        If a PSF is not two-dimensional, not finite, or all zero.
+    The PSFs (H, W) are non-negative, and their frames may differ in size. ValueError if a PSF is
+    not two-dimensional, not finite, or all zero.
 
     References
     ----------
@@ -46,11 +42,9 @@ def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 
 
 def mnc_matrix(psfs: Sequence[ArrayLike]) -> FloatArray:
-    """MNC of every pair of PSFs at half pixels: a quick :func:`mnc_subpixel`, within 0.03 of it.
+    """MNC (N, N) of pairs of PSFs at half pixels: a quick :func:`mnc_subpixel`, within 0.03 of it.
 
-    Returns
-    -------
-    (N, N) float64, symmetric, 1 on the diagonal; ValueError without PSFs, or as of :func:`mnc`
+    ValueError without PSFs, or as of :func:`mnc`.
     """
     images = [_checked(f"psfs[{i}]", psf) for i, psf in enumerate(psfs)]
     if not images:
@@ -121,13 +115,8 @@ def psnr_up_to_shift(
 ) -> float:
     """PSNR, dB, of ``restored`` against ``sharp`` (peak 1), best over shifts, borders cropped.
 
-    Parameters
-    ----------
-    restored, sharp : (H, W) or (H, W, 3) array_like, 0..1
-    max_shift_px : float
-        Range of the translations tried, in steps of 1/4 px (Levin et al. 2009: 5 px).
-    crop_px : int
-        Border left out on each side.
+    Both are (H, W) or (H, W, 3), 0..1. Translations are tried in steps of 1/4 px (Levin et al.
+    2009: up to 5 px); ``crop_px`` are left out on each side.
     """
     return psnr(*best_aligned(restored, sharp, max_shift_px, crop_px))
 

@@ -36,7 +36,8 @@ def boracchi_foi(
     """Draw DeblurGAN's random walk: constant speed, inertia and sudden reversals.
 
     Arc length is exactly ``max_length_px``; the path is centred on its time-mean (the original is
-    not centred).
+    not centred). ValueError if the length or ``expl`` is not positive, or there are fewer than 2
+    samples.
 
     Parameters
     ----------
@@ -48,11 +49,6 @@ def boracchi_foi(
     inertia_max, big_shake_max, gaussian_max : float
         Upper ends of the uniform laws of the pull to the start, the probability of a big shake
         (times ``expl`` per step) and the strength of the Gaussian changes.
-
-    Raises
-    ------
-    ValueError
-        If the length or ``expl`` is not positive, or there are fewer than 2 samples.
 
     References
     ----------

@@ -16,17 +16,9 @@ def slice_psfs(t: FloatArray, xy: FloatArray, edges: FloatArray, size: int) -> F
     Inside one cell of the pixel grid and one straight piece the hat is a quadratic in time, so
     cutting at every grid line makes two Gauss nodes exact.
 
-    Parameters
-    ----------
-    t : (T,) float, 0..1 increasing
-    xy : (T, 2) float, px; must fit the frame
-    edges : (slices + 1,) float, increasing within 0..1
-    size : int
-        Frame side, px; zero displacement at index ``size // 2``.
-
-    Returns
-    -------
-    (slices, size, size) float; each slice sums to its duration.
+    The path (T, 2), px, at times (T,) from 0 to 1, must fit the frame, whose zero displacement is
+    at index ``size // 2``. Of edges (slices + 1,), increasing within 0..1, the PSFs are (slices,
+    size, size); each sums to its slice's duration.
     """
     crossings = [_grid_crossings(t, xy[:, axis]) for axis in (0, 1)]
     u = np.union1d(np.concatenate([t, *crossings]), edges)

@@ -14,13 +14,7 @@ none, smoothed files show less than they have, and nothing divides by 0."""
 def noise_sigma(photo: FloatArray) -> float:
     """Estimate the sigma of white noise in a photo (H, W) from mixed second differences.
 
-    Parameters
-    ----------
-    photo : (H, W) float, at least 3 x 3
-
-    Returns
-    -------
-    float, in the photo's unit
+    The photo has at least 3 x 3 px; the sigma is in its unit.
 
     References
     ----------

@@ -82,14 +82,7 @@ def without_faint_light(kernels: ArrayLike, *, below: float) -> FloatArray:
 def without_faint_parts(kernel: FloatArray) -> FloatArray:
     """Drop values below 5 % of the peak, and specks, which add side branches to the path.
 
-    Parameters
-    ----------
-    kernel : (k, k) float
-        Non-negative, with some light.
-
-    Returns
-    -------
-    (k, k) float, sum 1
+    The kernel (k, k) is non-negative, with some light; what is left of it sums to 1.
     """
     bright = without_faint_light(kernel, below=_FAINT_SHARE)
     label, count = ndimage.label(bright, structure=np.ones((3, 3)))

@@ -36,6 +36,8 @@ def valid_window(shape: tuple[int, ...], psf_shape: tuple[int, ...]) -> tuple[sl
 def blur_valid(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
     """Blur with real borders: only pixels whose whole light comes from within ``sharp``.
 
+    ValueError if the PSF is not two-dimensional or larger than the image.
+
     Parameters
     ----------
     sharp : (H, W) or (H, W, C) array_like, linear light
@@ -47,11 +49,6 @@ def blur_valid(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
     -------
     (H - S + 1, W - S + 1[, C]) float64, the blurred ``sharp[valid_window(sharp.shape,
     psf.shape)]``.
-
-    Raises
-    ------
-    ValueError
-        If the PSF is not two-dimensional or larger than the image.
     """
     image, kernel = _checked(sharp, psf)
     valid_window(image.shape, kernel.shape)
@@ -86,6 +83,8 @@ def add_noise(
 ) -> FloatArray:
     """Add photon (Poisson) and read (Gaussian) noise; nothing is clipped.
 
+    ValueError if a noise parameter is negative, or the photo is where photons are counted.
+
     Parameters
     ----------
     photo : array_like, linear light, 1 = full scale
@@ -93,11 +92,6 @@ def add_noise(
         Photons that value 1 stands for; no photon noise when omitted.
     read_sigma : float
         Standard deviation of the read noise, in units of full scale.
-
-    Raises
-    ------
-    ValueError
-        If a noise parameter is negative, or the photo is where photons are counted.
     """
     clean = np.asarray(photo, dtype=np.float64)
     if not (math.isfinite(read_sigma) and read_sigma >= 0):
@@ -128,6 +122,8 @@ def photograph(
 ) -> FloatArray:
     """Simulate the blurred photo of a scene; training has its own batched simulation in torch.
 
+    ValueError if an argument is malformed, or the PSF larger than the scene.
+
     Parameters
     ----------
     scene : (H, W) or (H, W, C) array_like, linear light 0..1
@@ -145,11 +141,6 @@ def photograph(
     Returns
     -------
     (h, w[, C]) float64 that shows ``visible(scene, S, borders=borders)``.
-
-    Raises
-    ------
-    ValueError
-        If an argument is malformed, or the PSF larger than the scene.
     """
     if isinstance(motion, Trajectory):
         # odd: as many rows of the scene are cut off before the photo as after it

@@ -116,10 +116,9 @@ class Trajectory:
             )
         # to the last digit: slices are cut at 0 and 1
         t[0], t[-1] = 0.0, 1.0
-        t.setflags(write=False)
-        xy.setflags(write=False)
-        object.__setattr__(self, "t", t)
-        object.__setattr__(self, "xy", xy)
+        for name, values in (("t", t), ("xy", xy)):
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
 
     # -- making one -------------------------------------------------------------------------------
 
@@ -359,14 +358,7 @@ def _checked_edges(edges: Sequence[float] | FloatArray) -> FloatArray:
 def thin_path(index: NDArray[np.intp]) -> NDArray[np.intp]:
     """Thin a walk of touching pixels to an 8-connected line without corner steps.
 
-    Parameters
-    ----------
-    index : (N, 2) int
-        Pixels along the path; consecutive ones equal or 8-neighbours.
-
-    Returns
-    -------
-    (M, 2) int, M <= N, with the same ends.
+    Consecutive pixels (N, 2) are equal or 8-neighbours; the line (M, 2) has the same ends.
     """
     is_new = np.r_[True, np.any(np.diff(index, axis=0) != 0, axis=1)]
     walk = index[is_new]

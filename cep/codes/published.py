@@ -80,8 +80,6 @@ class PublishedCode:
 
     Attributes
     ----------
-    name : str
-    code : ShutterCode
     works : tuple of str
         Keys of ``cep/files/works.bib``.
     note : str

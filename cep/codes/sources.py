@@ -64,6 +64,8 @@ def stated_chip_ns(source: str, code: ShutterCode) -> int | None:
 def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
     """Return the code that a text stands for, with what its file says of it.
 
+    ValueError if it is none of these; the line says so. OSError if the file cannot be read.
+
     Parameters
     ----------
     source : str
@@ -72,11 +74,6 @@ def find_code(source: str, *, chip_ns: int | None = None) -> StoredCode:
         either. ``complement:`` before any of them is open where that code is closed.
     chip_ns : int, optional
         Chip time, ns, instead of the code's own.
-
-    Raises
-    ------
-    ValueError
-        If it is none of these; the line says so. OSError if the file cannot be read.
     """
     if source.startswith(COMPLEMENT):
         stored = find_code(source.removeprefix(COMPLEMENT), chip_ns=chip_ns)

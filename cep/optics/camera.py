@@ -181,6 +181,8 @@ class Camera:
     def at(self, photons: float, *, exposure_s: float | None = None) -> Camera:
         """Return the camera at a light level.
 
+        ValueError if a figure is outside its range.
+
         Parameters
         ----------
         photons : float, 1..1e7
@@ -190,11 +192,6 @@ class Camera:
             Duration of the whole exposure, seconds. The dark current's noise over it is added to
             the read noise, and the camera returned has no dark current left; without it the dark
             current is not counted.
-
-        Raises
-        ------
-        ValueError
-            If a figure is outside its range.
         """
         level = _number("photons", photons)
         if not LIGHT_RANGE[0] <= level <= LIGHT_RANGE[1]:
@@ -275,9 +272,9 @@ class Camera:
 
     def to_dict(self) -> dict[str, Any]:
         """Fields as a JSON document with its schema; unstated ones are left out."""
-        entries = asdict(self).items()
-        stated = {key: value for key, value in entries if key in _ALWAYS_WRITTEN or value}
-        return {"schema": SCHEMA, **stated}
+        values = asdict(self).items()
+        entries = {key: value for key, value in values if key in _ALWAYS_WRITTEN or value}
+        return {"schema": SCHEMA, **entries}
 
     @classmethod
     def load(cls, name_or_file: str | Path) -> Camera:

@@ -70,12 +70,9 @@ class PhotonTransfer:
         What is full there.
     black_dn : float
         Code value without light.
-    codes : CodeRange
     response : {"linear", "srgb"}
     points : tuple of TransferPoint
         By rising light.
-    dark_variance_dn2 : float or None
-    warnings : tuple of str
     """
 
     gain_e_per_dn: float
@@ -153,22 +150,18 @@ def photon_transfer(
 ) -> PhotonTransfer:
     """Fit a photon-transfer curve.
 
+    ValueError if the frames do not show a camera's noise; the line names the pair, counted from 1.
+
     Parameters
     ----------
     flats : sequence of FramePair
         Evenly lit; several levels of light up to saturation.
-    codes : CodeRange
     dark : FramePair, optional
         Without light, of the same exposure and gain.
     black_dn : float, optional
         Code value without light, where there are no dark frames; 0 when omitted.
     response : {"linear", "srgb"}
         Curve on which the code values are evenly spaced; the pairs are of linear light.
-
-    Raises
-    ------
-    ValueError
-        If the frames do not show a camera's noise; the line names the pair, counted from 1.
 
     Examples
     --------
@@ -351,15 +344,13 @@ def _line(
         raise ValueError(
             "the frames have one level of light: give dark frames, or flats of other levels too"
         )
-    basis = np.stack([x, np.ones_like(x)], axis=1)
     error = _scatter(y, n)
     # errors by the fit: those by the measured variances would favour the low ones
     for _ in range(4):
-        weights = 1 / error**2
-        covariance = np.linalg.inv(basis.T @ (weights[:, None] * basis))
-        slope, floor = (float(value) for value in covariance @ (basis.T @ (weights * y)))
+        line, covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
         # a fit that crosses 0 near black would give its variances a weight without bound
-        error = _scatter(np.maximum(basis @ (slope, floor), 0.1 * np.abs(y)), n)
+        error = _scatter(np.maximum(np.polyval(line, x), 0.1 * np.abs(y)), n)
+    slope, floor = line.tolist()
     slope_error, floor_error = (float(value) for value in np.sqrt(np.diag(covariance)))
     # the slope is the gain's reciprocal: without photon noise there is none
     if slope <= 0:
@@ -371,7 +362,7 @@ def _line(
             "the noise hardly grows with the light: its levels are too alike, or the frames too"
             " small, for a gain"
         )
-    off = np.abs(basis @ (slope, floor) - y)
+    off = np.abs(np.polyval(line, x) - y)
     is_bent = (off > 5 * error) & (off > 0.05 * y)  # significant, and large enough to matter
     bent = off[is_bent] / y[is_bent]
     return slope, floor, slope_error, floor_error, float(bent.max(initial=0.0))

@@ -55,7 +55,6 @@ class PhotoTrial:
     ----------
     motions : sequence of Trajectory
     photographs : sequence of (H, W) float ndarrays, linear light
-    camera : Camera
     response : ShutterResponse, optional
         Rise and fall of the shutter.
     chip_ns : int

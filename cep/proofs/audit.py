@@ -41,7 +41,6 @@ class Neighbour:
     ----------
     flips : tuple of int
         Chips that differ, counted from 1.
-    code : ShutterCode
     minimum : float
         Its minimum over the continuum: |P| in chips, or |H| along the trajectory.
     """
@@ -57,7 +56,6 @@ class GridClaim:
 
     Attributes
     ----------
-    name : str
     points : int
         Along one axis.
     minimum : float
@@ -78,7 +76,6 @@ class Audit:
 
     Attributes
     ----------
-    code : ShutterCode
     trajectory : Trajectory
         The motion; a straight one of 1 px a chip where none was given.
     along : Trajectory or None
@@ -181,7 +178,6 @@ def audit(
 
     Parameters
     ----------
-    code : ShutterCode
     trajectory : Trajectory, optional
         A straight one of 1 px a chip when omitted.
     camera : Camera, optional

@@ -80,18 +80,15 @@ def compare_mtfs(
 ) -> dict[str, MtfRow]:
     """Measure the MTFs of codes along a motion, the open shutter's first, by their names.
 
+    ValueError if the path cannot be measured, or is too short for the chips of a code; or a figure
+    of the user's own fails.
+
     Parameters
     ----------
     figures : mapping from a name to a function, optional
         Figures of merit of the user's own, see :func:`cep.proofs.measure.own_figures`.
     on_checked : callable, optional
         Called before the work, when the path has been checked.
-
-    Raises
-    ------
-    ValueError
-        If the path cannot be measured, or is too short for the chips of a code; or a figure of the
-        user's own fails.
     """
     check_frame(trajectory)
     for code in codes.values():

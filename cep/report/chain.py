@@ -61,12 +61,8 @@ class Chain:
 
     Attributes
     ----------
-    scene : Scene
-    seed : int
-    motion : SceneMotion
     problem : SearchProblem
         Along the estimated motion; its camera takes the simulated photos.
-    device : DeviceProfile or None
     advice : Advice
         Over the light.
     reference : float ndarray
@@ -158,6 +154,8 @@ def run_chain(
 ) -> Chain:
     """Run the chain.
 
+    ValueError if the photo shows no motion, or the exposure cannot be divided so on the device.
+
     Parameters
     ----------
     device : DeviceProfile, optional
@@ -171,11 +169,6 @@ def run_chain(
         camera's.
     progress : callable, optional
         Called with the finished share, 0..1, and the current step.
-
-    Raises
-    ------
-    ValueError
-        If the photo shows no motion, or the exposure cannot be divided so on the device.
     """
     progress(0.0, "estimating the motion")
     if motion is None:

@@ -80,7 +80,6 @@ class Table:
     ----------
     columns : tuple of str
         Headings with units; the first column names the row, the others hold numbers or texts.
-    rows : tuple of tuple
     highlight : int, optional
         Index of the row that is advised.
     """

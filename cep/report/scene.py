@@ -38,7 +38,6 @@ class Scene:
         The scene without blur, wider than the photo; unknown for a user's photo.
     motion : Trajectory, optional
         The motion that blurred it; unknown for a user's photo.
-    warnings : tuple of str
     """
 
     name: str
@@ -54,7 +53,6 @@ class SceneMotion:
 
     Attributes
     ----------
-    estimate : MotionEstimate
     codes : tuple of ShutterCode
         Of the photos, the open shutter first; empty where there is that photo only.
     photos : tuple of float ndarrays, linear light

@@ -83,7 +83,6 @@ class ExposureTiming:
     ----------
     start : Interval
         From the trigger to the start of the first row's exposure; of row 0.
-    length : Interval
     jitter : Interval
         Standard deviation of the start from frame to frame.
     row : Interval

@@ -84,7 +84,6 @@ class ExposurePlan:
 
     Attributes
     ----------
-    release : Release
     program : Program
         Of the shutter: the closed chips, then the code.
     lead_ns : int

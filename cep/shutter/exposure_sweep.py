@@ -37,7 +37,6 @@ class Flash:
 
     Attributes
     ----------
-    start_s, length_s : float
     period_s, until_s : float
         It is repeated each period, until a time; once where the period is 0.
     """
@@ -64,6 +63,11 @@ class Exposed:
     pulses_s: FloatArray
     brightness: FloatArray
     clipped: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]
+
+    @property
+    def flash_s(self) -> float:
+        """Length of the first flash, s."""
+        return float(np.diff(self.pulses_s[0])[0])
 
 
 def flash_program(flash: Flash, limits: Hello) -> Program:
@@ -289,7 +293,6 @@ class ExposureSweep:
                     f"a flash of {self._flash_s * 1e6:.0f} us clips the camera: dim the light, or"
                     " lower the gain"
                 )
-            length_s = float(np.diff(frame.pulses_s[0])[0])
             light = frame.brightness - self._black
             if np.median(light) >= _ENOUGH_SIGMAS * self._noise_dark:
                 break
@@ -299,7 +302,7 @@ class ExposureSweep:
                     " more gain"
                 )
             self._flash_s *= 2
-        self._rate = np.maximum(light, self._noise_dark) / length_s
+        self._rate = np.maximum(light, self._noise_dark) / frame.flash_s
         repeated = self._flash(self._reference(window))
         share = float(np.median((repeated.brightness - self._black) / np.maximum(light, 1e-9)))
         self._noise_lit = _spread(repeated.brightness - self._black - share * light) / math.sqrt(2)
@@ -307,10 +310,9 @@ class ExposureSweep:
     def _share(self, frame: Exposed, window: Window) -> float:
         """Share of a frame's flash that the first row collected."""
         row = 0 if window.row_s >= 0 else len(self._black) - 1
-        length_s = float(np.diff(frame.pulses_s[0])[0])
         rows = slice(row, row + 1) if window.row_s else slice(None)
         light = (frame.brightness - self._black)[rows].sum()
-        return float(light / (self._rate[rows].sum() * length_s))
+        return float(light / (self._rate[rows].sum() * frame.flash_s))
 
     def _refine_start(self, window: Window, upper_s: float, lower_s: float) -> tuple[bool, Window]:
         """Place the start of the first row by a flash across it, if there can be one."""
@@ -319,7 +321,7 @@ class ExposureSweep:
         frame = self._flash(Flash(start_s, self._flash_s))
         share = self._share(frame, window)
         start_visible = not first or share < _UNSEEN_SHARE
-        begin_s = float(frame.pulses_s[0, 1]) - share * float(np.diff(frame.pulses_s[0])[0])
+        begin_s = float(frame.pulses_s[0, 1]) - share * frame.flash_s
         shift_s = begin_s - self._begin_s(window)
         return start_visible, Window(window.start_s + shift_s, window.length_s, window.row_s)
 

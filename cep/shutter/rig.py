@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 from cep.files.formatting import duration
 from cep.files.shot_files import ShotRecord
-from cep.optics.camera import Camera as NoiseModel
 from cep.optics.code import ShutterCode
 from cep.shutter.burst import BurstCamera
 from cep.shutter.exposure_plan import ExposurePlan, ShotSettings
@@ -32,10 +31,8 @@ class Shot:
 
     Attributes
     ----------
-    frame : Frame
     record : ShotRecord
         What its restoration needs, and whether it counts.
-    warnings : tuple of str
     """
 
     frame: Frame
@@ -91,7 +88,6 @@ class Rig:
 
     Parameters
     ----------
-    camera : Camera
     controller : Controller or None
         None where the camera needs none.
     """
@@ -109,11 +105,10 @@ class Rig:
         not by such a trigger.
         """
         settings = settings or ShotSettings()
-        self._prepared = (
-            self._virtual(code, settings)
-            if self.controller is None
-            else self._loaded(self.controller, code, settings)
-        )
+        if self.controller is None:
+            self._prepared = self._virtual(code, settings)
+        else:
+            self._prepared = self._loaded(self.controller, code, settings)
         return self._prepared.record
 
     def _virtual(self, code: ShutterCode, settings: ShotSettings) -> _Prepared:
@@ -134,7 +129,9 @@ class Rig:
         release = checked_release(camera.triggers, camera.name, board.firmware, settings.release)
         plan = ExposurePlan.of(code, settings, release, board_lead_ns=board.lead_ns)
         trigger = Trigger.SOFTWARE if release.fires else Trigger.LINE
-        noise = _noise(settings.profile)
+        noise = settings.profile
+        if noise is not None and not (noise.gain_e_per_dn or noise.full_well_e):
+            noise = None  # it has times alone
         if isinstance(camera, TwinCamera):
             noise = camera.noise
             camera.wired = release is not Release.HOST
@@ -298,8 +295,10 @@ class Rig:
                 **prepared.record.details,
             },
         )
-        if record.noise is not None:
-            record = replace(record, noise=_at_white(record.noise, record))
+        if (noise := record.noise) is not None:  # its light 1 is then the white of the photo
+            steps = 2**record.bits - 1 - record.black_level
+            noise = noise.at(noise.photons_full_scale * steps / noise.code_steps)
+            record = replace(record, noise=noise)
         warnings = (*self._doubts(prepared), *_warnings(frame))
         return Shot(frame=frame, record=record, warnings=warnings)
 
@@ -322,18 +321,6 @@ def _played(controller: Controller, before: Status, plan: ExposurePlan, wait_s: 
             f"the code was not played: the controller is {status.state.name.lower()}"
         )
     return status
-
-
-def _noise(profile: NoiseModel | None) -> NoiseModel | None:
-    """Return a profile that has more than times."""
-    is_known = profile is not None and (profile.gain_e_per_dn or profile.full_well_e)
-    return profile if is_known else None
-
-
-def _at_white(noise: NoiseModel, record: ShotRecord) -> NoiseModel:
-    """Return a noise model whose light 1 is the white of a photo."""
-    steps = 2**record.bits - 1 - record.black_level
-    return noise.at(noise.photons_full_scale * steps / noise.code_steps)
 
 
 def _warnings(frame: Frame) -> tuple[str, ...]:

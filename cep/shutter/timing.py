@@ -17,8 +17,7 @@ from cep.shutter.play import LEASE_MS
 from cep.shutter.release import Release, checked_release
 from cep.shutter.rig import Rig
 from cep.shutter.shoot import open_rig
-from hw.cameras.camera import CameraSettings, Frame, Trigger
-from motdiff.types import FloatArray
+from hw.cameras.camera import CameraSettings, Trigger
 
 BUSY_LATE_NS = 2_750
 """The output "busy" of an Uno rises so long after the controller's trigger."""
@@ -39,8 +38,6 @@ class TimedCamera:
 
     Attributes
     ----------
-    timing : ExposureTiming
-    flashes : Flashes
     stated_s : float
         Exposure that the camera states.
     release : str
@@ -48,9 +45,6 @@ class TimedCamera:
     dead_s : float or None
         Two frames followed each other with so little time between their exposures, or less; None
         where the camera has no clock.
-    camera, serial : str
-    frames : int
-    warnings : tuple of str
     """
 
     timing: ExposureTiming
@@ -140,7 +134,6 @@ def time_camera(
         As of :func:`cep.shutter.shoot.shoot`, as is ``port``.
     exposure_s : float
         That is set.
-    gain_db : float, optional
     release : Release, optional
         ``shutter``: the controller's output "busy" triggers the camera; ``camera``: the camera's
         output "exposure active" triggers the controller. The first where both can.
@@ -233,10 +226,7 @@ class _Bench:
         self.camera, self.serial = frame.camera, frame.serial
         progress(len(self.starts_ns) / MOST_FRAMES, f"frame {len(self.starts_ns)}")
         times_ns = np.array([edge_ns for edge_ns, _ in program.edges]) + self.limits.lead_ns
-        return _exposed(1e-9 * times_ns.reshape(-1, 2), frame)
-
-
-def _exposed(pulses_s: FloatArray, frame: Frame) -> Exposed:
-    values = frame.values.reshape(len(frame.values), -1)
-    clipped = (values >= 2**frame.bits - 1).mean(axis=1) > _CLIPPED_SHARE
-    return Exposed(pulses_s, values.mean(axis=1, dtype=np.float64), clipped)
+        values = frame.values.reshape(len(frame.values), -1)
+        clipped = (values >= 2**frame.bits - 1).mean(axis=1) > _CLIPPED_SHARE
+        brightness = values.mean(axis=1, dtype=np.float64)
+        return Exposed(1e-9 * times_ns.reshape(-1, 2), brightness, clipped)

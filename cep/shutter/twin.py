@@ -51,7 +51,6 @@ class TwinOptions:
         From the start of one row to that of the next; 0 is a global shutter.
     belt_hz : float
         Light barrier at the controller's trigger input, pulses a second; none at 0.
-    seed : int
     """
 
     scene: str = "camera"
@@ -197,7 +196,6 @@ class TwinCamera(Camera):
 
     Attributes
     ----------
-    scene : MovingScene
     noise : cep.optics.camera.Camera
         Noise model, for the restoration as well.
     clean : (H, W) or (H, W, 3) float ndarray

@@ -6,9 +6,9 @@ where it stopped.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -192,18 +192,11 @@ class PreparedSource:
 
 
 def _joined(batches: Sequence[Batch]) -> Batch:
-    def joined(chunks: Iterable[Tensor | None]) -> Tensor | None:
-        tensors = [maps for maps in chunks if maps is not None]
-        if not tensors:
-            return None
-        return torch.cat(tensors)
+    def joined(name: str) -> Any:
+        chunks = [getattr(batch, name) for batch in batches]
+        return None if chunks[0] is None else torch.cat(chunks)
 
-    return Batch(
-        joined(batch.photo for batch in batches),
-        joined(batch.physics for batch in batches),
-        torch.cat([batch.x0 for batch in batches]),
-        torch.cat([batch.dwell for batch in batches]),
-    )
+    return Batch(*(joined(field.name) for field in fields(Batch)))
 
 
 def make_sources(
@@ -211,11 +204,8 @@ def make_sources(
 ) -> Sources:
     """Read or simulate the samples of the run; photos on the ``device``, motions by ``workers``.
 
-    Raises
-    ------
-    ValueError
-        If the network takes another number of physics maps than there are, or there are too few
-        photos.
+    ValueError if the network takes another number of physics maps than there are, or there are too
+    few photos.
     """
     data = config.data
     seed = config.optimiser.seed

@@ -190,11 +190,8 @@ def _check_share(config: object, section: str, name: str) -> None:
 def read_config(path: Path | str) -> TrainingConfig:
     """Read a run's TOML file; paths in it are relative to where the command runs.
 
-    Raises
-    ------
-    ValueError
-        If the file is not TOML, or a section, an entry, a type or a value is not known or wrong;
-        the message names it.
+    ValueError if the file is not TOML, or a section, an entry, a type or a value is not known or
+    wrong; the message names it.
     """
     content = read_toml(path)
     unknown = set(content) - set(_SECTIONS)

@@ -117,12 +117,7 @@ class MotionBank:
         )
 
     def targets(self, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Gather motions ``index`` (B,).
-
-        Returns
-        -------
-        psf (B, 64, 64), x0 (B, 1, 256, 256) of 0 and 1, dwell (B, 1, 256, 256); all float32
-        """
+        """PSFs (B, 64, 64), x0 of 0 and 1, and dwell, both (B, 1, 256, 256), of motions (B,)."""
         start = self.starts[index]
         count = self.starts[index + 1] - start
         sample = torch.repeat_interleave(torch.arange(len(index), device=index.device), count)

@@ -26,16 +26,10 @@ def load_photos(
 
     Photos with a shorter side than ``least_px`` are left out. Those with a longer short side than
     ``most_px`` are shrunk to it: the detail of a full-size photo is softer than a kernel.
+    ValueError if there is no photo large enough, a file cannot be read, or photos would be shrunk
+    below ``least_px``.
 
-    Returns
-    -------
-    list of (3, H, W) uint8 tensors, red green blue, display values
-
-    Raises
-    ------
-    ValueError
-        If there is no photo large enough, a file cannot be read, or photos would be shrunk below
-        ``least_px``.
+    They are (3, H, W) uint8, red green blue, display values.
     """
     if most_px < least_px:
         raise ValueError(f"most_px: must be at least least_px = {least_px}, got {most_px}")

@@ -92,10 +92,8 @@ def read_source(config_file: Path | str, *, held_out: bool) -> Source:
 def read_shards(folder: Path | str) -> Samples:
     """Read every shard of a folder into memory (about 110 KB a sample); ValueError without one.
 
-    Returns
-    -------
-    Samples with uint8 photos (B, 1, 256, 256), luminance as ``255 sqrt(light)``, float16 kernels
-    and dwell, uint8 x0
+    The photos are uint8 (B, 1, 256, 256), luminance as ``255 sqrt(light)``, x0 is uint8, kernels
+    and dwell are float16.
     """
     missing = "prepared samples (shard_*.npz); write them with: python -m motdiff prepare"
     return joined(load_shards(folder, name=_NAME, load=samples_of, missing=missing))

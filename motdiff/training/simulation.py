@@ -76,9 +76,7 @@ class Photography:
 def blurred(sharp: Tensor, psfs: Tensor) -> Tensor:
     """Blur ``sharp`` (..., H, W) with ``psfs`` (..., R, C), broadcast; differentiable.
 
-    Returns
-    -------
-    (..., H - R + 1, W - C + 1) tensor, as :func:`motdiff.simulate.blur_valid`
+    The blurred (..., H - R + 1, W - C + 1) are those of :func:`motdiff.simulate.blur_valid`.
     """
     (height, width), (rows, columns) = sharp.shape[-2:], psfs.shape[-2:]
     frame = (fast_size(height), fast_size(width))  # what wraps around is cut away
@@ -145,17 +143,10 @@ def _mirrored(light: Tensor, size: int) -> Tensor:
 
 
 def jpeg_loss(photos: Tensor, quality: Tensor) -> Tensor:
-    """Compress and decompress every channel with the luminance table.
+    """Compress and decompress every channel with the luminance table, not rounded to 8 bits.
 
-    Parameters
-    ----------
-    photos : (B, C, H, W) float, display values 0..1; H and W multiples of 8
-    quality : (B,) float, 1..100
-        As the Independent JPEG Group's library has it.
-
-    Returns
-    -------
-    (B, C, H, W) float, 0..1, not rounded to 8 bits
+    The photos (B, C, H, W) are display values 0..1, H and W multiples of 8; the quality (B,),
+    1..100, is that of the Independent JPEG Group's library.
     """
     batch, channels, height, width = photos.shape
     cosine = _cosine_matrix(photos)

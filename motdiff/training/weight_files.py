@@ -40,6 +40,9 @@ def export_weights(
 ) -> int:
     """Write the averaged weights of a run, its configuration in the header; returns the bytes.
 
+    ValueError if there is no checkpoint, float16 cannot hold its weights, or they draw no map that
+    an offset could change.
+
     Parameters
     ----------
     offset : float
@@ -50,12 +53,6 @@ def export_weights(
         Further entries of the header: figures, data.
     validation_mnc : float, optional
         Of the run's log, for its line of the history.
-
-    Raises
-    ------
-    ValueError
-        If there is no checkpoint, float16 cannot hold its weights, or they draw no map that an
-        offset could change.
     """
     trained = read_checkpoint(checkpoint)
     if trained is None:

@@ -58,7 +58,6 @@ def certify(
 
     Parameters
     ----------
-    code : ShutterCode
     trajectory : Trajectory, optional
         An unknown direction counts as the worse of the two.
     budget : int
