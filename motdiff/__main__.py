@@ -52,7 +52,7 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: Sequence[str] | None = None, *, trainers: Sequence[type[Trainer]] = ()) -> int:
     """Run a command; returns the exit code: 0 done, 2 bad input, 1 a failure, 130 Ctrl-C.
 
-    The process's arguments are those when omitted; ``trainers`` are of other networks' targets.
+    ``arguments`` are the process's when omitted; ``trainers`` those of other networks' targets.
     """
     options = parser().parse_args(arguments)
     options.trainers = trainers

@@ -12,10 +12,10 @@ _GRACE_S = 3.0  # to put a shutter's controller to rest
 
 
 def end_with_parent(parent: int) -> None:
-    """Interrupt this process, and end it seconds later, once ``parent``, its id, is gone.
+    """Interrupt this process, and end it seconds later, once the process ``parent`` is gone.
 
     The system gives a process whose parent ended another one. On Windows it does not, and nothing
-    is noticed there. The parent may have ended already.
+    is noticed there. ``parent``, a number, started this process, and may have ended already.
     """
 
     def watch() -> None:

@@ -67,7 +67,7 @@ def blur_valid(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
 def blur_symmetric(sharp: ArrayLike, psf: ArrayLike) -> FloatArray:
     """Blur at full size, the scene mirrored beyond its borders, as the MoTDiff paper's data.
 
-    Arguments and shape are those of :func:`blur_valid`, the photo's is that of ``sharp``.
+    The arguments are those of :func:`blur_valid`; the photo has the shape of ``sharp``.
     """
     image, kernel = _checked(sharp, psf)
     pads = [(n - 1 - n // 2, n // 2) for n in kernel.shape] + [(0, 0)] * (image.ndim - 2)

@@ -336,7 +336,7 @@ class Camera:
             raise ValueError(f"{path}: {one_line(error)}") from None
 
     def to_file(self, path: Path | str) -> None:
-        """Write the camera as ``.json`` or ``.toml``, else ValueError, whole or not at all."""
+        """Write the camera, whole or not at all, as ``.json`` or ``.toml``, else ValueError."""
         document = self.to_dict()
         text = json.dumps(document, indent=1) + "\n"
         if _suffix(path) == ".toml":

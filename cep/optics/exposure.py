@@ -249,13 +249,10 @@ def coded_psf(
     ((64, 64), 0.625)
     """
     if response is None:
-        return np.asarray(
-            np.tensordot(code.array, chip_psfs(trajectory, code.chips, size), axes=1),
-            dtype=np.float64,
-        )
-    return played_psf(
-        timeline(trajectory, even_edges(code.chips), response, code=code), code, size
-    )
+        psfs = chip_psfs(trajectory, code.chips, size)
+        return np.asarray(np.tensordot(code.array, psfs, axes=1))
+    played = timeline(trajectory, even_edges(code.chips), response, code=code)
+    return played_psf(played, code, size)
 
 
 def played_psf(played: Timeline, code: ShutterCode, size: int) -> FloatArray:
@@ -269,9 +266,8 @@ def played_psf(played: Timeline, code: ShutterCode, size: int) -> FloatArray:
     for lo in range(0, played.dt.size, step):
         # the pieces are the slices: each has one transmission
         cuts = played.u[lo : lo + step + 1]
-        psf += np.tensordot(
-            transmission[lo : lo + step], slice_psfs(played.t, played.xy, cuts, size), axes=1
-        )
+        psfs = slice_psfs(played.t, played.xy, cuts, size)
+        psf += np.tensordot(transmission[lo : lo + step], psfs, axes=1)
     return psf
 
 
@@ -285,4 +281,4 @@ def shifted_psf(
     xy = trajectory.xy + np.asarray(shift_px)
     frame = 2 * int(np.ceil(np.abs(xy).max())) + 3
     chips = slice_psfs(trajectory.t, xy, np.linspace(0, 1, code.chips + 1), frame)
-    return np.asarray(np.tensordot(code.array, chips, axes=1), dtype=np.float64)
+    return np.asarray(np.tensordot(code.array, chips, axes=1))

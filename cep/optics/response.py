@@ -118,9 +118,8 @@ class ShutterResponse:
         pulses = is_open[:, 0] + (is_open[:, 1:] & ~is_open[:, :-1]).sum(axis=1)
         # a straight ramp passes half of its light: each pulse loses delay and half a rise
         gain_ns = self.on_bias_ns + 0.5 * self.fall_ns - self.on_delay_ns - 0.5 * self.rise_ns
-        return np.asarray(
-            (is_open.sum(axis=1) + pulses * gain_ns / self.chip_ns) / is_open.shape[1]
-        )
+        open_chips = is_open.sum(axis=1) + pulses * gain_ns / self.chip_ns
+        return np.asarray(open_chips / is_open.shape[1])
 
     @staticmethod
     def _ramp(after_chips: ArrayLike, cuts: FloatArray) -> FloatArray:

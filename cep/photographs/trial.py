@@ -6,6 +6,7 @@ restored together.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
@@ -141,11 +142,10 @@ class PhotoTrial:
 
 def grid_px(paths: Sequence[Trajectory]) -> int:
     """Pixels that a restoration of the largest photo has, of the open shutter along paths."""
-    sizes = []
-    for path in paths:
-        sides = [JUDGED_PX + 2 * (_border_px(reach) + reach) for reach in _path_reaches_px(path)]
-        sizes.append(sides[0] * sides[1])
-    return max(sizes)
+    return max(
+        math.prod(JUDGED_PX + 2 * (_border_px(reach) + reach) for reach in _path_reaches_px(path))
+        for path in paths
+    )
 
 
 def needed_px(paths: Sequence[Trajectory]) -> tuple[int, int]:

@@ -207,7 +207,7 @@ def pictures(chain: Chain) -> dict[str, bytes]:
 
 
 def html(chain: Chain, png: Mapping[str, bytes] | None = None, *, options: str = "") -> str:
-    """Render the page of a chain, by :func:`pictures` when omitted; every text is escaped.
+    """Render the page of a chain, by default with its :func:`pictures`; every text is escaped.
 
     ``options`` name camera and device on a command line.
     """

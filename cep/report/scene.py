@@ -74,7 +74,7 @@ def bundled_picture() -> FloatArray:
 def bundled_scene(
     camera: cep.Camera, *, rng: np.random.Generator, side_px: int | None = None
 ) -> Scene:
-    """Take a photo of the bundled picture, or of so large a middle, with a shaking hand."""
+    """Take a photo of the bundled picture, or of its middle ``side_px``, with a shaking hand."""
     sharp = bundled_picture()
     if side_px is not None:
         sharp = centre_crop(sharp, side_px, side_px)

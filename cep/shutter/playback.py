@@ -138,10 +138,8 @@ class Playback:
 def playback_files(path: Path | str, *, with_psf: bool) -> list[Path]:
     """List what :meth:`Playback.save` writes: the code, and with a motion its PSF beside it."""
     output = Path(path)
-    return [
-        output,
-        *(output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES if with_psf),
-    ]
+    psf_files = [output.with_name(_psf_stem(output) + suffix) for suffix in PSF_SUFFIXES]
+    return [output, *(psf_files if with_psf else [])]
 
 
 def read_playback(

@@ -70,9 +70,9 @@ class TwinOptions:
         for item in filter(None, address.split(",")):
             name, equals, text = item.partition("=")
             if name not in types or not equals:
+                names = ", ".join(f"{name}=" for name in types)
                 raise ValueError(
-                    f"camera: twin has no {item[:40]!r}; known are"
-                    f" {', '.join(f'{name}=' for name in types)}, divided by commas"
+                    f"camera: twin has no {item[:40]!r}; known are {names}, divided by commas"
                 )
             try:
                 values[name] = types[name](text)

@@ -60,7 +60,7 @@ class Pace:
 
 
 def device_named(option: str) -> str:
-    """Torch's name of the device of ``--device``, made the current one; ValueError without it."""
+    """Make the device of ``--device`` the current one, and name it; ValueError without it."""
     name = option or ("cuda" if torch.cuda.is_available() else "cpu")
     if name == "cuda":
         name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}"  # torchrun's: one GPU for each process
