@@ -379,26 +379,33 @@ class Lines:
 
     def look(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         """H (F,) and its gradient (F, 2) at frequencies (F, 2)."""
-        if not self.delta.any():
-            return self._look_at_points(f)
-        value = np.empty(len(f), np.complex128)
-        slope = np.empty((len(f), 2), np.complex128)
+        look = self._look_at_lines if self.delta.any() else self._look_at_points
         step = max(1, _CHUNK // len(self.weight))
-        for lo in range(0, len(f), step):
-            batch = f[lo : lo + step]
-            turns = batch @ self.middle.T
-            x = pi * (batch @ self.delta.T)
-            small = np.abs(x) < _SERIES
-            safe = np.where(small, 1.0, x)
-            gain = np.where(small, 1 - x * x / 6, np.sin(safe) / safe)
-            change = np.where(small, -x / 3 + x**3 / 30, (np.cos(safe) - gain) / safe)
-            wave = self.weight * np.exp(-2j * pi * (turns - np.rint(turns)))
-            terms = wave * gain
-            value[lo : lo + step] = terms.sum(axis=1)
-            slope[lo : lo + step] = -2j * pi * (terms @ self.middle) + pi * (
-                (wave * change) @ self.delta
-            )
-        return value, slope
+        chunks = [look(f[lo : lo + step]) for lo in range(0, len(f), step)]
+        values, slopes = zip(*chunks, strict=True)
+        return np.concatenate(values), np.concatenate(slopes)
+
+    def _look_at_lines(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        turns = f @ self.middle.T
+        x = pi * (f @ self.delta.T)
+        small = np.abs(x) < _SERIES
+        safe = np.where(small, 1.0, x)
+        gain = np.where(small, 1 - x * x / 6, np.sin(safe) / safe)
+        change = np.where(small, -x / 3 + x**3 / 30, (np.cos(safe) - gain) / safe)
+        wave = self.weight * np.exp(-2j * pi * (turns - np.rint(turns)))
+        terms = wave * gain
+        slope = -2j * pi * (terms @ self.middle) + pi * ((wave * change) @ self.delta)
+        return terms.sum(axis=1), slope
+
+    def _look_at_points(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Sum open chips in extended precision: a minimum may be a millionth of their number."""
+        places = self.middle[:, 0].astype(np.longdouble)
+        turns = f[:, :1].astype(np.longdouble) * places
+        # 4 arctan 1 is pi in this precision; math.pi would be rounded to double
+        wave = np.exp(-2j * (4 * np.arctan(np.longdouble(1))) * (turns - np.rint(turns)))
+        slope = np.zeros((len(f), 2), np.complex128)
+        slope[:, 0] = -2j * pi * (wave * places).sum(axis=1)
+        return wave.sum(axis=1).astype(np.complex128), slope
 
     def bound_cells(
         self, cells: FloatArray, half: FloatArray, active: NDArray[np.bool_]
@@ -415,20 +422,6 @@ class Lines:
         downhill /= np.maximum(size, 1e-300)[:, None]
         bend = 2 * pi**2 * self.principal * float(np.hypot(*half)) ** 2
         return size, (downhill * half).sum(axis=1) * (1 + 1e-12) + bend
-
-    def _look_at_points(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Sum open chips in extended precision: a minimum may be a millionth of their number."""
-        value = np.empty(len(f), np.complex128)
-        slope = np.zeros((len(f), 2), np.complex128)
-        step = max(1, _CHUNK // len(self.weight))
-        places = self.middle[:, 0].astype(np.longdouble)
-        for lo in range(0, len(f), step):
-            turns = f[lo : lo + step, :1].astype(np.longdouble) * places
-            # 4 arctan 1 is pi in this precision; math.pi would be rounded to double
-            wave = np.exp(-2j * (4 * np.arctan(np.longdouble(1))) * (turns - np.rint(turns)))
-            value[lo : lo + step] = wave.sum(axis=1)
-            slope[lo : lo + step, 0] = -2j * pi * (wave * places).sum(axis=1)
-        return value, slope
 
 
 def chip_lines(bits: str) -> Lines:
