@@ -29,10 +29,7 @@ def main_axis(trajectory: Trajectory) -> FloatArray:
 def mtf_curve(trajectory: Trajectory, code: ShutterCode | None) -> tuple[FloatArray, FloatArray]:
     """MTF along the motion's main axis, light-true; of the open shutter where there is no code.
 
-    Returns
-    -------
-    freq_cy_px : (501,) float, 0..0.5 cycles/px
-    mtf : (501,) float, 0..1
+    Returned are 501 frequencies, 0..0.5 cycles/px, and the MTF at each.
     """
     freq_cy_px = np.linspace(0, 0.5, 501)
     axis = main_axis(trajectory)

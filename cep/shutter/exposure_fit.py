@@ -120,15 +120,10 @@ def fit_exposure(
 ) -> ExposureTiming:
     """Estimate when a camera exposes; ValueError if no flash was across the start or the end.
 
-    Parameters
-    ----------
-    flashes : Flashes
-        Some of them across the start and the end of the exposure, some within it, and one frame
-        without light in the exposure.
-    guess : Window
-        Its start and end within a flash's length; the row time within some percent.
-    unseen_before_s : float, optional
-        The exposure began before this time, at which the first flash can come: where is not known.
+    Some of the flashes are across the start and the end of the exposure, some within it, and one
+    frame is without light in it. The guess has its start and end within a flash's length, and the
+    row time within some percent. Before ``unseen_before_s``, when the first flash can come, the
+    exposure began at a time that is not known.
     """
     rows = flashes.brightness.shape[1]
     shortest_s = min(float(np.diff(pulses, axis=1).min()) for pulses in flashes.pulses_s)

@@ -80,13 +80,7 @@ def play_emulated(
     """Load a code into an emulated Uno with the shipped firmware, read it back, and play it once.
 
     ValueError if the emulator cannot run here, or the board cannot play the code; the line says
-    why.
-
-    Returns
-    -------
-    report : UploadReport
-    edges_ns : tuple of (int, int)
-        Time after the first opening, ns, and the level of its shutter output from then on.
+    why. The edges are times after the first opening, ns, and the levels from then on.
     """
     from hw.emulation.uno import CLOCK_HZ, EmulatedUno, EmulationError
 

@@ -91,15 +91,9 @@ def crops(
 ) -> Tensor:
     """Cut random square crops, turned and mirrored at random.
 
-    Parameters
-    ----------
-    photos : sequence of (3, H, W) uint8, none smaller than the crops
-    generator : torch.Generator
-        On the CPU: where the crops lie does not depend on the device.
-
-    Returns
-    -------
-    (count, 3, size, size) float32, display values 0..1, on the photos' device
+    The photos are (3, H, W) uint8, none smaller than the crops, which are (count, 3, size, size)
+    float32, display values 0..1, on the same device. The generator is on the CPU: where the crops
+    lie does not depend on the device.
     """
     # corners as shares: the draws do not depend on the photos' sizes
     indices = torch.randint(len(photos), (count,), generator=generator).tolist()

@@ -165,14 +165,8 @@ def write_shards(
 ) -> None:
     """Write the missing ones of the shards; several processes can share the work by strides.
 
-    Parameters
-    ----------
-    name : str
-        First part of the files' names.
-    make : callable
-        From a number to the arrays of its file.
-    on_shard : callable
-        Called with the number of every shard that is there.
+    The files' names begin with ``name``. ``make`` turns a number into the arrays of its file;
+    ``on_shard`` gets the number of every shard that is there.
     """
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
@@ -194,14 +188,8 @@ def load_shards(
 ) -> list[_Loaded]:
     """Load every shard of a folder, in order; ValueError if there are none, or one is damaged.
 
-    Parameters
-    ----------
-    name : str
-        First part of the files' names.
-    load : callable
-        From the arrays of a file to the samples.
-    missing : str
-        Kind of the files and the command that writes them: the end of the error without any.
+    The files' names begin with ``name``; ``load`` turns the arrays of one into samples. The error
+    without any ends with ``missing``: their kind, and the command that writes them.
     """
     files = sorted(Path(folder).glob(f"{name}_*.npz"))
     if not files:

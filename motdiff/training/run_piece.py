@@ -85,14 +85,8 @@ def train(
 ) -> Trainer:
     """Train, or go on, until the configured steps are done, the time is up, or a signal comes.
 
-    Parameters
-    ----------
-    folder : path
-        Of ``checkpoint``, ``log.csv`` and ``progress.png``.
-    workers : int
-        Processes that draw motions.
-    trainer_type : type, optional
-        Of the network's target.
+    The folder is that of ``checkpoint``, ``log.csv`` and ``progress.png``; ``workers`` processes
+    draw motions; the type of the trainer is that of the network's target.
 
     Raises
     ------

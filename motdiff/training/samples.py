@@ -86,15 +86,8 @@ def registration(kernels: Tensor, dwell: Tensor) -> Tensor:
     A photo does not determine the position of the path, so a classical kernel is a pixel or two
     off the truth, which pixel-wise losses would penalise.
 
-    Parameters
-    ----------
-    kernels : (B, K, 64, 64) float
-    dwell : (B, 1, 256, 256) float
-        HR maps weighted by time.
-
-    Returns
-    -------
-    (B, 2) int64, HR-map pixels down and right; 0 where every kernel is wrong
+    Of kernels (B, K, 64, 64) and HR maps weighted by time, (B, 1, 256, 256), it is (B, 2) int64,
+    HR-map pixels down and right; 0 where every kernel is wrong.
     """
     fine = functional.interpolate(kernels, scale_factor=MAP_PITCH, mode="nearest")
     # both smoothed alike, so that a thin path and a blocky kernel overlap

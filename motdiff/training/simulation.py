@@ -90,13 +90,9 @@ def photographed(
 ) -> tuple[Tensor, Tensor]:
     """Simulate the photos of sharp crops taken by a moving camera.
 
-    Parameters
-    ----------
-    sharp : (B, 3, H, W) float32, display values 0..1
-        With ``photography.margin`` pixels more than the photo on both axes.
-    psfs : (B, 64, 64) float32, sum 1
-    generator : torch.Generator
-        On the device of ``sharp``.
+    The crops (B, 3, H, W), display values 0..1, have ``photography.margin`` pixels more than the
+    photo on both axes; the PSFs (B, 64, 64) sum to 1. All are float32 and on one device, as is the
+    generator.
 
     Returns
     -------

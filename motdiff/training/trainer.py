@@ -279,16 +279,9 @@ def loss_of(
 ) -> tuple[Tensor, Tensor]:
     """Path loss and dwell loss of a batch at uniformly drawn timesteps.
 
-    Parameters
-    ----------
-    model : callable
-        ``model(x_t, t, photo, physics)`` to logits, a :class:`MotDiffNetwork`.
-    generator : torch.Generator
-        On the batch's device.
-    physics_dropout : float
-        Share of physics maps blanked.
-    window : int
-        Side of the window of the 64-px field, the same for the whole batch.
+    The model, a :class:`MotDiffNetwork`, takes ``(x_t, t, photo, physics)`` to logits; the
+    generator is on the batch's device. ``physics_dropout`` is the share of physics maps blanked,
+    ``window`` the side of the window of the 64-px field, the same for the whole batch.
 
     References
     ----------
