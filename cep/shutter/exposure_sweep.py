@@ -92,12 +92,12 @@ def flash_program(flash: Flash, limits: Hello) -> Program:
     )
     choices = np.clip(np.rint(grid_s / tick_s / counts), lower, limits.max_ticks)
     ticks = int(choices[np.argmin(np.abs(choices * counts * tick_s - grid_s))])
-    closed = "0" * round(lead_in_s / tick_s / ticks)
-    bits = closed + "1" * max(1, round(flash.length_s / tick_s / ticks))
+    lead_in = "0" * round(lead_in_s / tick_s / ticks)
+    bits = lead_in + "1" * max(1, round(flash.length_s / tick_s / ticks))
     if flash.period_s:
         gap = "0" * max(round(flash.period_s / tick_s / ticks) - 1, 1)
         repeats = math.floor((flash.until_s - flash.start_s) / flash.period_s)
-        bits = (closed + "1" + (gap + "1") * max(repeats, 0))[: limits.max_chips]
+        bits = (lead_in + "1" + (gap + "1") * max(repeats, 0))[: limits.max_chips]
     return Program(bits, ticks * limits.tick_ns)
 
 
