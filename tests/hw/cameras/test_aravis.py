@@ -10,7 +10,7 @@ from emulators.tools import give_up
 
 from hw.cameras import aravis, genicam, open_camera
 from hw.cameras.camera import CameraError, CameraSettings, FrameLostError, Trigger
-from hw.cameras.pixel_formats import pixel_format
+from hw.cameras.genicam import pixel_format
 
 PICTURE = np.random.default_rng(0).integers(0, 2**16, (64, 80), dtype=np.uint16)
 SETTINGS = CameraSettings(exposure_s=0.01)

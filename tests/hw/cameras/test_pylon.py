@@ -12,7 +12,7 @@ from emulators.tools import give_up
 
 from hw.cameras import genicam, open_camera
 from hw.cameras.camera import CameraError, CameraSettings, FrameLostError, Trigger
-from hw.cameras.pixel_formats import pixel_format
+from hw.cameras.genicam import pixel_format
 
 os.environ["PYLON_CAMEMU"] = "2"  # read once, when pypylon lists its cameras for the first time
 SETTINGS = CameraSettings(exposure_s=0.005)

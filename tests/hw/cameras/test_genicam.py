@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hw.cameras.pixel_formats import deepest, pixel_format
+from hw.cameras.genicam import deepest, pixel_format
 
 
 def bit_stream(values, bits):
