@@ -34,7 +34,7 @@ import torch
 from matplotlib import pyplot as plt
 from skimage import data
 
-from motdiff.network import NetworkConfig
+from motdiff.network.config import NetworkConfig
 from motdiff.network.physics_maps import spectral_maps
 from motdiff.network.sampling import sample_paths
 from motdiff.training.batches import Batch

@@ -251,7 +251,7 @@ def _arm(options: ShootOptions, count: str) -> None:
     """Play on every trigger of a belt."""
     import math
 
-    from cep.shutter.belt import play_on_triggers
+    from cep.shutter.play import play_on_triggers
 
     assert options.port is not None
     plays = None if count == "always" else int(count) if count.isdecimal() else 0
@@ -280,8 +280,7 @@ def _wiring(options: ShootOptions) -> None:
     """Say which pin goes where, and draw it."""
     from cep.commands.hardware_options import open_controller
     from cep.plots.canvas import check_figure_name, save
-    from cep.plots.wiring import wiring_figure
-    from cep.shutter.wiring import wiring, wiring_lines
+    from cep.shutter.wiring import wiring, wiring_figure, wiring_lines
     from motdiff.files.outputs import claim
 
     picture = None if options.output == _FOLDER else options.output

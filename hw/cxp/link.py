@@ -8,9 +8,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Self
 
-from hw.cxp.framing import BINARY, TEXT, FrameError, Framing
 from hw.cxp.protocol import (
     AT_REST,
+    BINARY,
+    TEXT,
+    FrameError,
+    Framing,
     Hello,
     Op,
     Reply,

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import ClassVar, Self
 
-from hw.cxp.framing import FrameError
 from hw.cxp.link import Link, open_link
 from hw.cxp.protocol import (
     AT_REST,
+    FrameError,
     Hello,
     Op,
     State,

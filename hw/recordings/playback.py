@@ -10,7 +10,7 @@ from math import sqrt
 from statistics import fmean
 
 from hw.program import Program
-from hw.recordings.traces import Trace
+from hw.recordings.recording_file import Trace
 
 _REACH = 0.45  # of a chip: an edge farther than that from its place is another edge
 _STARTS = 8  # openings that may be missing or too many at the beginning

@@ -78,10 +78,10 @@ class NetworkAlone:
         import torch
 
         from motdiff.crops import luminance
-        from motdiff.estimators.motdiff.correcting import corrected_kernel
         from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
+        from motdiff.network.correction import corrected_kernel
         from motdiff.photo_noise import noise_sigma
-        from motdiff.tracing import simplest_trajectory
+        from motdiff.tracing.quadratic import simplest_trajectory
 
         grey = luminance(photo)
         method = "network"

@@ -35,7 +35,8 @@ from motdiff.network.physics_maps import physics_maps
 from motdiff.network.sampling import sample_paths
 from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame, without_faint_light, without_faint_parts
 from motdiff.simulate import photograph
-from motdiff.tracing import fit_dwell, simplest_trajectory
+from motdiff.tracing.dwell import fit_dwell
+from motdiff.tracing.quadratic import simplest_trajectory
 from motdiff.trajectory import Trajectory
 from motdiff.weights import load_network
 

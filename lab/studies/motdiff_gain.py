@@ -40,14 +40,13 @@ from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
 from motdiff.estimators.blind_estimator import BlindEstimator
 from motdiff.estimators.kernel_score import distinct, rank_kernels
-from motdiff.estimators.motdiff.correcting import corrected_choice, corrected_kernel
 from motdiff.estimators.motdiff.drawing import draw_psfs
-from motdiff.estimators.motdiff.estimator import MotDiffEstimator
+from motdiff.estimators.motdiff.estimator import MotDiffEstimator, corrected_choice
 from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.metrics import mnc_matrix, mnc_subpixel
-from motdiff.network import MotDiffNetwork
-from motdiff.network.correction import CorrectionNetwork
+from motdiff.network.correction import CorrectionNetwork, corrected_kernel
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.photo_noise import noise_sigma, shared_sigma
 from motdiff.progress import Progress

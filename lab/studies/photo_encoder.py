@@ -21,7 +21,7 @@ import torch
 
 from lab.studies.inputs import study_parser
 from motdiff.metrics import mnc
-from motdiff.network import MotDiffNetwork
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.sampling import psfs_of_maps, sample_paths
 from motdiff.training.batches import Batch, PreparedSource
 from motdiff.training.config import TrainingConfig, read_config

@@ -20,7 +20,8 @@ from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.psf_frame import MAP_CENTRE, MAP_PITCH, PSF_PX
-from motdiff.tracing import fit_dwell, trace_psf_to_trajectory
+from motdiff.tracing.dwell import fit_dwell
+from motdiff.tracing.path import trace_psf_to_trajectory
 from motdiff.trajectory import Trajectory
 
 HR_PX = 0.25

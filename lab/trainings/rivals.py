@@ -16,7 +16,7 @@ from torch import Tensor
 from lab.rivals.parametric import PathNetwork
 from lab.rivals.psf_diffusion import psf_signals, psfs_of_signals
 from motdiff import __main__ as motdiff_commands
-from motdiff.network import NetworkConfig
+from motdiff.network.config import NetworkConfig
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.psf_frame import PSF_PX
 from motdiff.tracing.quadratic import HAT_VARIANCE_PX2

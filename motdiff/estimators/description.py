@@ -16,13 +16,9 @@ from numpy.typing import ArrayLike
 from motdiff.estimators.base import LOST, FoundKernels, MotionEstimate
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, centred, in_frame, without_faint_light, without_faint_parts
-from motdiff.tracing import (
-    is_tangled,
-    plain_trajectory,
-    simplest_trajectory,
-    smooth_path,
-    trace_psf_to_trajectory,
-)
+from motdiff.tracing.path import is_tangled, trace_psf_to_trajectory
+from motdiff.tracing.quadratic import plain_trajectory, simplest_trajectory
+from motdiff.tracing.smooth import smooth_path
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 

@@ -2,7 +2,7 @@
 
 Read it with Choi et al., "MoTDiff", arXiv 2510.26173:
 
-- ``condition``: the photo's features (``pvt``, eq. 2), local emphasis and stepwise aggregation
+- ``condition``: the photo's features (PVT v2, eq. 2), local emphasis and stepwise aggregation
   (eq. 3 and 4); beside them our physics maps (``physics_maps``) and their U-Net (``unet``)
 - ``denoiser``: logits of x_0 from x_t, t and the condition (eq. 5); the network as a whole
 - ``diffusion``: the schedule and x_t (eq. 1), losses (eq. 6 and 7), dropout of path pixels
@@ -11,8 +11,3 @@ Read it with Choi et al., "MoTDiff", arXiv 2510.26173:
 
 Ours alone is ``correction``: a second network, which corrects an estimated kernel.
 """
-
-from motdiff.network.config import NetworkConfig
-from motdiff.network.denoiser import MotDiffNetwork
-
-__all__ = ["MotDiffNetwork", "NetworkConfig"]

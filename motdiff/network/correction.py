@@ -7,7 +7,11 @@ kernel; from them a small network learns which faint parts continue a path.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from motdiff.blind_search.coarse_to_fine import fine_latent
@@ -25,7 +29,8 @@ from motdiff.blind_search.latent import salient_gradients
 from motdiff.network.physics_maps import autocorrelation, lags, spectral_maps
 from motdiff.network.sampling import DOUBT
 from motdiff.network.unet import GridUNet, silence
-from motdiff.psf_frame import PSF_PX
+from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame
+from motdiff.types import FloatArray
 
 MAPS = 11
 """Maps of each kernel."""
@@ -37,6 +42,7 @@ _RIDGES = (0.03, 0.3, 3.0)  # of the least-squares kernels, in mean powers of th
 _WIENER_RIDGE = 0.3
 _WIENER_PENALTY = 3e-4
 _WIENER_PER_VARIANCE = 100.0
+_PASSES = 2  # the maps of a corrected kernel hold more evidence than those of a searched one
 _LATENT_RANGE = (-0.5, 1.5)  # a restoration by a wrong kernel rings far beyond full scale
 
 
@@ -80,6 +86,49 @@ def corrected(network: CorrectionNetwork, maps: Tensor) -> Tensor:
         for symmetry, kernel in enumerate(kernels)
     ]
     return thresholded(torch.cat(aligned, dim=1).mean(dim=1).clamp(min=0), below=DOUBT)
+
+
+def corrected_kernel(
+    network: CorrectionNetwork,
+    crops: FloatArray,
+    kernel: FloatArray,
+    rivals: Sequence[FloatArray],
+    *,
+    sigma: float,
+) -> FloatArray:
+    """Correct a kernel twice by what crops of its photo tell of it.
+
+    Parameters
+    ----------
+    network : CorrectionNetwork
+        In eval mode, on the CPU.
+    crops : (C, H, W) float, grey, linear light
+    kernel : (k, k) float, sum 1
+    rivals : sequence of one or two (k', k') float, sum 1
+        Kernels that the photo might have instead; their frames may differ.
+    sigma : float
+        Standard deviation of the noise.
+
+    Returns
+    -------
+    (63, 63) float: non-negative, sum 1.
+    """
+    light = torch.from_numpy(crops.astype(np.float32))
+    framed = torch.from_numpy(np.stack([_framed(k) for k in (kernel, *rivals)]))
+    estimate = framed[:1]
+    framed_rivals = framed[[1, -1]][None]  # a single one counts twice
+    with torch.inference_mode():
+        for _ in range(_PASSES):
+            estimate = corrected(
+                network, correction_maps(light[None], estimate, framed_rivals, sigma=sigma)
+            )
+    odd = in_frame(estimate[0].double().numpy(), ODD_PX)
+    return np.asarray(odd / odd.sum(), dtype=np.float64)
+
+
+def _framed(kernel: FloatArray) -> NDArray[np.float32]:
+    cut = in_frame(kernel)
+    return np.asarray(cut / max(float(cut.sum()), 1e-12), dtype=np.float32)
 
 
 def correction_maps(photos: Tensor, kernels: Tensor, rivals: Tensor, *, sigma: float) -> Tensor:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from motdiff.network import MotDiffNetwork
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.diffusion import Schedule, from_signal, samples, to_signal
 from motdiff.psf_frame import MAP_PITCH
 

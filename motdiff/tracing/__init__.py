@@ -6,19 +6,3 @@ that covers what is drawn; :func:`fit_dwell` finds the time spent along it;
 together. Direction stays unknown: a path and its reverse draw the same. :func:`is_tangled` is true
 where the order along it is uncertain.
 """
-
-from motdiff.tracing.dwell import fit_dwell
-from motdiff.tracing.path import is_tangled, trace_psf, trace_psf_to_trajectory
-from motdiff.tracing.quadratic import plain_trajectory, simplest_trajectory
-from motdiff.tracing.smooth import SmoothPath, smooth_path
-
-__all__ = [
-    "SmoothPath",
-    "fit_dwell",
-    "is_tangled",
-    "plain_trajectory",
-    "simplest_trajectory",
-    "smooth_path",
-    "trace_psf",
-    "trace_psf_to_trajectory",
-]

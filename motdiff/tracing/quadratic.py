@@ -175,6 +175,6 @@ def simplest_trajectory(psf: ArrayLike) -> Trajectory:
     Parameters
     ----------
     psf : (H, W) array_like
-        As :func:`motdiff.tracing.trace_psf`, which traces a PSF that no quadratic path explains.
+        As :func:`motdiff.tracing.path.trace_psf`, which traces what no quadratic path explains.
     """
     return plain_trajectory(psf) or trace_psf_to_trajectory(psf)

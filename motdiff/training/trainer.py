@@ -14,9 +14,9 @@ from typing import ClassVar, cast
 import torch
 from torch import Tensor, nn
 
-from motdiff.network import MotDiffNetwork
 from motdiff.network.condition import ConditionNetwork
 from motdiff.network.config import NetworkConfig
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.diffusion import (
     Schedule,
     cosine_schedule,

@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from motdiff.files.inputs import one_line
-from motdiff.network import MotDiffNetwork, NetworkConfig
+from motdiff.network.config import NetworkConfig
 from motdiff.network.correction import CorrectionNetwork
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.weights_io import filled, read_header
 
 __all__ = [

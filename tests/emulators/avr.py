@@ -19,8 +19,7 @@ from typing import Protocol
 
 import serial
 
-from hw.cxp.framing import BINARY
-from hw.cxp.protocol import Op, State, Stored, unpack_status, unpack_stored
+from hw.cxp.protocol import BINARY, Op, State, Stored, unpack_status, unpack_stored
 from hw.drivers.cxp import Controller
 from hw.program import Program
 

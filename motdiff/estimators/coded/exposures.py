@@ -4,19 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from statistics import median_low
 
 import cv2
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import ndimage
+from scipy import fft, ndimage, signal
 
-from motdiff.crops import LEAST_PX, pick_crops, textured_luminance
+from motdiff.crops import LEAST_PX, best_windows, pick_crops, textured_luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.coded.scene_kernels import kernels_of_one_scene
 from motdiff.estimators.coded.scene_term import SceneSpectra, scene_side_px, scene_spectra
+from motdiff.estimators.kernel_score import rank_kernels
+from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, searched_kernels
+from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
 from motdiff.progress import Progress
+from motdiff.psf_frame import PSF_PX, in_frame
+from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 
 BLIND_WEIGHT = 300.0
@@ -30,6 +35,7 @@ _TRUSTED = 0.5  # confidence in a kernel
 _LEAST_TRUST = 0.15  # confidence: no kernel is left out altogether
 _FARTHEST = 4  # photos of one scene are shifted by less than such a part of their size
 _LEAST_INSIDE_PX = 64  # of a photo without its borders
+_FAINTEST = 1e-4  # of the largest noise power expected: below it, rounding is compared
 
 
 @dataclass(frozen=True)
@@ -168,8 +174,6 @@ def exposures_of(
 def _kernels_of(
     greys: Sequence[FloatArray], kernels: Estimator | None, progress: Progress, cost: float
 ) -> list[MotionEstimate]:
-    from motdiff.estimators.pmp.estimator import PmpEstimator
-
     def estimator(on_progress: Callable[[float], None]) -> Estimator:
         return kernels or PmpEstimator(crops=1, progress=on_progress)
 
@@ -218,3 +222,75 @@ def _aligned(photos: Sequence[FloatArray]) -> list[FloatArray]:
 def _coarse(photo: FloatArray) -> FloatArray:
     blurred = ndimage.gaussian_filter(photo, _BLUR_PX)
     return np.asarray(blurred - ndimage.gaussian_filter(photo, 4 * _BLUR_PX))
+
+
+def kernels_of_one_scene(
+    photos: Sequence[FloatArray], *, progress: Progress | None = None, cost: float = 1.0
+) -> tuple[tuple[FloatArray, ...], tuple[float, ...]]:
+    """Search the kernels of photos of one scene, aligned to a few px, in the photos together.
+
+    What one kernel extinguishes another lets through, so the latent photo and with it each kernel
+    is known better than from a photo alone. Of several starts the one whose kernels agree best
+    with the photos is chosen: ``k_1 * y_i = k_i * y_1``, whatever the scene.
+
+    Parameters
+    ----------
+    photos : sequence of I >= 2 (H, W) float
+    progress : Progress, optional
+        Its plan holds ``cost`` for this work already.
+
+    Returns
+    -------
+    I kernels (64, 64), sum 1, whose shifts against each other are the photos', and the
+    probability that each is good
+
+    References
+    ----------
+    Xu, Liu, Tong and Kailath, "A least-squares approach to blind channel identification", IEEE
+    TSP 43(12), 1995 (the cross relation).
+    """
+    progress = progress or Progress()
+    window = best_windows(photos[0], count=1)[0]
+    level = photos[0].mean()
+    crops = np.stack([photo[window] * (level / photo.mean()) for photo in photos])
+    sigmas = np.maximum([noise_sigma(crop) for crop in crops], LEAST_SIGMA)
+    piece = cost / len(STARTS)
+    searches = side_by_side(
+        [
+            partial(
+                searched_kernels,
+                crops[:, None],
+                start,
+                sigma=float(np.median(sigmas)),
+                one_scene=True,
+                on_progress=progress.piece(piece),
+            )
+            for start in STARTS
+        ]
+    )
+    kernels = min(searches, key=lambda candidates: _cross_misfit(crops, candidates, sigmas))
+    confidences = [
+        float(rank_kernels(crop[None], [kernel]).probabilities[0])
+        for crop, kernel in zip(crops, kernels, strict=True)
+    ]
+    return tuple(in_frame(kernel, PSF_PX) for kernel in kernels), tuple(confidences)
+
+
+def _cross_misfit(crops: FloatArray, kernels: FloatArray, sigmas: FloatArray) -> float:
+    """Mean power of ``k_1 * y_i - k_i * y_1`` over that of the noise in it; about 1 to 2 if right.
+
+    Within the frame, so that no border counts, and through a window.
+    """
+    ratios = []
+    for crop, kernel, sigma in zip(crops[1:], kernels[1:], sigmas[1:], strict=True):
+        difference = signal.fftconvolve(crop, kernels[0], "valid")
+        difference -= signal.fftconvolve(crops[0], kernel, "valid")
+        shape = difference.shape
+        window = np.hanning(shape[0] + 2)[1:-1, None] * np.hanning(shape[1] + 2)[1:-1]
+        power = np.abs(fft.fft2(difference * window)) ** 2 / np.square(window).sum()
+        noise = sum(
+            deviation**2 * np.abs(fft.fft2(through, shape)) ** 2
+            for deviation, through in ((sigma, kernels[0]), (sigmas[0], kernel))
+        )
+        ratios.append(np.mean(power / (noise + _FAINTEST * noise.max())))
+    return float(np.mean(ratios))

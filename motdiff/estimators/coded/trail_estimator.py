@@ -1,24 +1,40 @@
-"""Estimator for a small light's trails through known codes."""
+"""Motion of a small light by its trails through known codes: estimator, and search of the path."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
 import numpy as np
+import torch
 from numpy.typing import ArrayLike
-from scipy import ndimage
+from scipy import ndimage, optimize
+from torch import Tensor
 
 from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.coded.candidates import CandidatePath, explained_share, motion_of_paths
-from motdiff.estimators.coded.codes import check_codes
-from motdiff.estimators.coded.starts import orders
-from motdiff.estimators.coded.trail_search import Trails, find_trail_paths
+from motdiff.estimators.coded.candidates import (
+    UNEXPLAINED,
+    CandidatePath,
+    Evolution,
+    distance_px,
+    distinct,
+    expected_deviation_px,
+    explained_share,
+    merged,
+    motion_of_paths,
+)
+from motdiff.estimators.coded.codes import check_codes, middles, open_at
+from motdiff.estimators.coded.misfit import Roughness, Term, descend
+from motdiff.estimators.coded.starts import bridged, crossed, loop_reversals, orders
+from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns, spot_px, trail_moments
 from motdiff.estimators.point.estimator import background_light
+from motdiff.motions import boracchi_foi
+from motdiff.path_psfs import interpolated
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX
 from motdiff.threads import one_thread_a_call
-from motdiff.trajectory import Trajectory
+from motdiff.tracing.path import trace_psf_to_trajectory
+from motdiff.trajectory import Trajectory, arc_lengths
 from motdiff.types import FloatArray
 
 _GAP_PX = 12  # within a trail, where the shutter was closed
@@ -34,6 +50,30 @@ _AGREED = 0.95
 _ALONE = 0.3
 _FOLDED = 0.6  # one photo of a path that meets itself, where two searches agree
 _ERROR_RATIO = 1.5
+_LEAST_PIECES = 52  # of time; each chip has a whole number of them
+_ROUGHNESS = 10.0  # second differences of 0.3 px at 53 knots
+# blur, px, and the error allowed, as a share of the brightest pixel
+_COARSE = ((4.0, 0.06), (2.5, 0.04), (1.5, 0.02), (1.0, 0.007))
+_STARTS = 160  # random walks of a search
+_SELECTED = (80, 40, 20)  # after each coarse blur
+_SAME_PX = 0.3  # nearer paths are one: trails tell a path to a fraction of a pixel
+_EVOLUTION = Evolution(rounds=40, patience=6, improved=0.98, population=12, apart_px=_SAME_PX)
+_PARENTS = 6  # crossed with each other
+_NEWCOMERS = 8  # walks of each round, against inbreeding
+_REROUTED = 5  # children of a parent with a stretch drawn anew
+_SEARCHES = 5
+_RESULTS = 4
+_WALK_PX = (20.0, 90.0)  # length of a path, px
+_LONGEST_PX = 160.0  # walks stretched to the trail's shape are drawn again beyond it
+_TRACE_BLURS_PX = (0.7, 1.2, 2.0)  # bridge the gaps of closed chips
+_FAINT = 0.04
+_TRACED_POINTS = 161
+_ORDERS = 24
+_PIECE_PX = 0.5  # of a traced path whose light is measured; how even it is
+_MOST_PIECES = 140
+_EVEN = 0.05
+_SLIP = 0.03  # of time, where a path is run earlier or later
+_SLIP_SPAN = 0.15  # share of the exposure over which it lasts
 
 
 class TrailEstimator:
@@ -113,15 +153,10 @@ class TrailEstimator:
                 except ValueError as error:
                     name = f"photo {i + 1}" if len(photos) > 1 else "photo"
                     raise ValueError(f"{name}: {error}") from None
-            trails = Trails(
-                codes=tuple(self._codes[i] for i in order),
-                images=tuple(image for image, _ in cut),
-                sigmas=tuple(sigma for _, sigma in cut),
-            )
-            paths, times = find_trail_paths(
-                trails, rng=np.random.default_rng(self._seed), progress=progress
-            )
-            estimate = _described(paths, times, photos=len(photos))
+            images, sigmas = zip(*cut, strict=True)
+            codes = [self._codes[i] for i in order]
+            search = _TrailSearch(codes, images, sigmas, np.random.default_rng(self._seed))
+            estimate = _described(*search.run(progress), photos=len(photos))
             progress.finish()
             return estimate
 
@@ -180,3 +215,233 @@ def _described(paths: Sequence[CandidatePath], times: int, *, photos: int) -> Mo
         deviation_px=_ERROR_RATIO * best.deviation_px,
         details={"searches_agreeing": times},
     )
+
+
+def run_by_light(
+    path: FloatArray, image: FloatArray, is_open: FloatArray, *, width_px: float
+) -> FloatArray:
+    """Time a path by the light of its trail: each open moment carries as much.
+
+    Parameters
+    ----------
+    path : (N, 2) float, px
+        Points along it, in order; the origin is the middle of pixel ``(H // 2, W // 2)``.
+    image : (H, W) float, non-negative
+    is_open : (K - 1,) float
+        Of each of the pieces of time that the knots bound.
+    width_px : float
+        Standard deviation of the spot.
+
+    Returns
+    -------
+    (K, 2) float, px, at evenly spaced times
+    """
+    arc = arc_lengths(path)
+    pieces = int(np.clip(arc[-1] / _PIECE_PX, 20, _MOST_PIECES))
+    edges = np.linspace(0, arc[-1], pieces + 1)
+    spots = interpolated(0.5 * (edges[1:] + edges[:-1]), arc, path)
+    down, across = (
+        np.exp(-0.5 * ((np.arange(n) - n // 2 - spots[:, axis, None]) / width_px) ** 2)
+        for n, axis in zip(image.shape, (1, 0), strict=True)
+    )
+    shapes = (down[:, :, None] * across[:, None]).reshape(pieces, -1).T
+    even = _EVEN * np.linalg.norm(shapes, axis=0).mean() * np.diff(np.eye(pieces), axis=0)
+    matrix = shapes.T @ shapes + even.T @ even
+    factor = np.linalg.cholesky(matrix + 1e-6 * np.trace(matrix) / pieces * np.eye(pieces))
+    light, _ = optimize.nnls(factor.T, np.linalg.solve(factor, shapes.T @ image.ravel()))
+    # a little light everywhere, and at all times: where the shutter is closed the path goes on
+    by_arc = np.concatenate([[0.0], np.cumsum(light / max(light.sum(), 1e-12) + 1e-3 / pieces)])
+    by_time = np.concatenate([[0.0], np.cumsum(is_open / is_open.sum() + 1e-3 / is_open.size)])
+    return interpolated(np.interp(by_time / by_time[-1], by_arc / by_arc[-1], edges), arc, path)
+
+
+class _TrailSearch:
+    """Search of a path that explains trails, that with the most light first.
+
+    Parameters
+    ----------
+    codes : sequence of I str
+    images, sigmas : sequences of I (H, W) float
+        Without background, and the standard deviation of each pixel, infinite where it says
+        nothing; the middle of pixel ``(H // 2, W // 2)`` is the origin.
+    """
+
+    def __init__(
+        self,
+        codes: Sequence[str],
+        images: Sequence[FloatArray],
+        sigmas: Sequence[FloatArray],
+        rng: np.random.Generator,
+    ) -> None:
+        self.images = images
+        self.rng = rng
+        chips = len(codes[0])
+        self.unknowns = TrailUnknowns(chips * -(-_LEAST_PIECES // chips) + 1, len(codes))
+        self.rough = Roughness(self.unknowns, _ROUGHNESS)
+        self.coarse = []
+        for blur_px, share in _COARSE:
+            allowed = [
+                np.maximum(sigma, share * image.max())
+                for sigma, image in zip(sigmas, images, strict=True)
+            ]
+            self.coarse.append(TrailTerm(self.unknowns, codes, images, allowed, blur_px=blur_px))
+        self.fine = TrailTerm(self.unknowns, codes, images, sigmas)
+        self.is_open = open_at(codes, middles(self.unknowns.knots - 1))
+        self.light = [
+            image.sum() / is_open.mean()
+            for image, is_open in zip(images, self.is_open, strict=True)
+        ]
+        self.moments = [trail_moments(image) for image in images]
+        self.spot_px = min(spot_px(image) for image in images)
+
+    def run(self, progress: Progress) -> tuple[list[CandidatePath], int]:
+        """Paths that explain the trails, best first, and how many searches ended at the best.
+
+        Searches, the later ones from random walks alone, are repeated until two of them end at one
+        path that explains the trails, which is then no chance.
+        """
+        results: list[tuple[Tensor, Tensor]] = []
+        for index in range(_SEARCHES):
+            results.append(self.evolved(self.starts(traced=not index)))
+            progress.spend(1 / (_SEARCHES + 1))
+            x, costs, times = merged(
+                self.unknowns, results, keep=_EVOLUTION.population, same_px=_SAME_PX
+            )
+            if times > 1 and self.misfit(x[:1]) < UNEXPLAINED:
+                progress.spend((_SEARCHES - index) / (_SEARCHES + 1))
+                break
+        else:
+            x, costs = self.evolved(x)  # crossings of several searches' ends
+            progress.spend(1 / (_SEARCHES + 1))
+            distances_px = [distance_px(self.unknowns, x[0], best[0]) for best, _ in results]
+            times = max(1, sum(d < _SAME_PX for d in distances_px))
+        return self.described(x[:_RESULTS], costs[:_RESULTS]), times
+
+    def misfit(self, x: Tensor) -> float:
+        """Misfit of a candidate (1, N), with its roughness, as a multiple of the noise.
+
+        Where the shutter is closed a wrong path costs no light, but seldom is it smooth.
+        """
+        return float(self.fine.cost(x) + self.rough.cost(x)) / self.fine.values
+
+    def starts(self, *, traced: bool) -> Tensor:
+        """Paths from new random walks, and traced ones where asked, fitted coarse to fine."""
+        paths = self._traced() if traced else []
+        paths += [self._walk() for _ in range(_STARTS)]
+        x = self._pack(np.stack(paths))
+        for term, keep in zip(self.coarse[:3], _SELECTED, strict=True):
+            x, _ = self._best([term, self.rough], x, steps=6, keep=keep)
+        return x
+
+    def evolved(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """Paths crossed, their loops reversed and stretches rerouted, while it helps."""
+        finest: list[Term] = [self.coarse[3], self.rough]
+        x, costs = self._best(finest, x, steps=6, keep=_EVOLUTION.population)
+
+        def changed(parents: Tensor) -> tuple[Tensor, Tensor]:
+            new = self._pack(np.stack(self._children(parents)))
+            new, _ = descend([self.coarse[1], self.rough], new, steps=2)
+            new, _ = self._best(
+                [self.coarse[2], self.rough], new, steps=4, keep=2 * _EVOLUTION.population
+            )
+            return descend(finest, new, steps=5)
+
+        x, _ = _EVOLUTION.run(self.unknowns, x, costs, changed=changed)
+        return self._best([self.fine, self.rough], x[:6], steps=20, keep=_RESULTS)
+
+    def _traced(self) -> list[FloatArray]:
+        """Orders of paths traced in the first photo, gaps bridged by blur, timed by its light."""
+        paths: list[FloatArray] = []
+        image = np.maximum(self.images[0], 0)
+        centre = np.array([image.shape[1] // 2, image.shape[0] // 2])
+        for blur_px in _TRACE_BLURS_PX:
+            soft = ndimage.gaussian_filter(image, blur_px)
+            soft[soft < _FAINT * soft.max()] = 0
+            try:
+                traced = trace_psf_to_trajectory(soft)
+            except ValueError:  # a dot
+                continue
+            rows, columns = np.indices(soft.shape)
+            middle = np.array([(soft * columns).sum(), (soft * rows).sum()]) / soft.sum() - centre
+            paths += [
+                run_by_light(path + middle, image, self.is_open[0], width_px=self.spot_px + 0.3)
+                for path in orders(traced, knots=_TRACED_POINTS, count=_ORDERS)
+            ]
+        return paths
+
+    def _walk(self) -> FloatArray:
+        """Random walk (K, 2) whose trail has the first photo's centroid and covariance."""
+        centre, spread = self.moments[0]
+        spread = spread - (self.spot_px**2 + 1 / 12 - 0.05) * np.eye(2)
+        values, axes = np.linalg.eigh(spread)
+        shape = axes @ np.diag(np.sqrt(np.maximum(values, 0.05)))
+        times = np.linspace(0, 1, self.unknowns.knots)
+        while True:
+            length_px = self.rng.uniform(*_WALK_PX)
+            walk = boracchi_foi(self.rng, max_length_px=length_px, samples=500).at(times)
+            middle = 0.5 * (walk[1:] + walk[:-1])
+            mean = np.average(middle, axis=0, weights=self.is_open[0])
+            covariance = np.cov((middle - mean).T, aweights=self.is_open[0])
+            root = np.linalg.cholesky(covariance + 1e-3 * np.eye(2))
+            turn, _ = np.linalg.qr(self.rng.standard_normal((2, 2)))
+            path = (shape @ turn @ np.linalg.solve(root, (walk - mean).T)).T + centre
+            if np.linalg.norm(np.diff(path, axis=0), axis=1).sum() < _LONGEST_PX:
+                return np.asarray(path, dtype=np.float64)
+
+    def _pack(self, paths: FloatArray) -> Tensor:
+        """Candidates of paths (B, K, 2), moved so that each trail has its photo's centroid."""
+        middle = 0.5 * (paths[:, 1:] + paths[:, :-1])
+        shifts = np.stack(
+            [
+                centre - np.einsum("bsd,s->bd", middle, is_open / is_open.sum())
+                for (centre, _), is_open in zip(self.moments, self.is_open, strict=True)
+            ],
+            axis=1,
+        )
+        paths = paths + shifts[:, :1]
+        count = len(paths)
+        return self.unknowns.pack_trails(
+            torch.tensor(paths, dtype=torch.float32),
+            torch.tensor(shifts - shifts[:, :1], dtype=torch.float32),
+            torch.tensor(self.light, dtype=torch.float32).expand(count, -1),
+            torch.full((count,), self.spot_px),
+        )
+
+    def _children(self, x: Tensor) -> list[FloatArray]:
+        paths = self.unknowns.paths(x).numpy().astype(np.float64)
+        children = [self._walk() for _ in range(_NEWCOMERS)]
+        for i, path in enumerate(paths[:_PARENTS]):
+            children += loop_reversals(path, count=5, rng=self.rng)
+            partners = (*paths[:i], *paths[i + 1 :])
+            crossings = (crossed(path, partner, rng=self.rng) for partner in partners)
+            children += [child for child in crossings if child is not None]
+            children += [self._slipped(path), path[::-1]]
+            children += [bridged(path, self._walk(), rng=self.rng) for _ in range(_REROUTED)]
+        return children
+
+    def _slipped(self, path: FloatArray) -> FloatArray:
+        """Path that runs earlier or later for a while."""
+        times = np.linspace(0, 1, len(path))
+        window = np.exp(-0.5 * ((times - self.rng.uniform()) / _SLIP_SPAN) ** 2)
+        slipped = np.clip(times + self.rng.normal(0, _SLIP) * window, 0, 1)
+        return interpolated(slipped, times, path)
+
+    def _best(
+        self, terms: Sequence[Term], x: Tensor, *, steps: int, keep: int
+    ) -> tuple[Tensor, Tensor]:
+        """Candidates after some steps of descent, the best of them."""
+        return distinct(
+            self.unknowns, *descend(terms, x, steps=steps), keep=keep, apart_px=_SAME_PX
+        )
+
+    def described(self, x: Tensor, costs: Tensor) -> list[CandidatePath]:
+        """Candidates with their misfit and the standard deviations of their knots."""
+        described = []
+        for candidate, cost in zip(x[:, None], costs.tolist(), strict=True):
+            misfit = self.misfit(candidate)
+            path = self.unknowns.paths(candidate)[0].numpy().astype(np.float64)
+            terms: list[Term] = [self.fine, self.rough]
+            noise_factor = max(1.0, misfit) ** 0.5
+            deviation_px = noise_factor * expected_deviation_px(self.unknowns, terms, candidate)
+            described.append(CandidatePath(path, cost, misfit, deviation_px))
+        return described

@@ -1,4 +1,4 @@
-"""Misfit of a small light's trails through known codes, pixel by pixel, with its derivatives."""
+"""A small light's trails through known codes: their misfit pixel by pixel, moments and spot."""
 
 from __future__ import annotations
 
@@ -233,3 +233,33 @@ def _blurred_response(distance: Tensor, width: Tensor) -> tuple[Tensor, Tensor, 
     z = distance / spread
     within = torch.exp(-0.5 * z.square()) / (sqrt(2 * pi) * spread)
     return within, within * z / spread, within * (z.square() - 1) * (width / spread).square()
+
+
+def trail_moments(image: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Centroid (2,) and covariance (2, 2) of a trail, px, (x, y)."""
+    weight = np.maximum(image, 0)
+    weight = np.where(weight > 0.05 * weight.max(), weight, 0)
+    rows, columns = np.indices(image.shape)
+    x = columns.ravel() - image.shape[1] // 2
+    y = rows.ravel() - image.shape[0] // 2
+    points = np.stack([x, y], axis=-1)
+    flat = weight.ravel() / weight.sum()
+    centre = flat @ points
+    offsets = points - centre
+    return centre, (offsets * flat[:, None]).T @ offsets
+
+
+def spot_px(image: FloatArray) -> float:
+    """Estimate the standard deviation of the light's spot, px, by the curvature of the ridges."""
+    blur_px = 0.7
+    soft = ndimage.gaussian_filter(image, blur_px)
+    xx, yy, xy = (
+        ndimage.gaussian_filter(image, blur_px, order=order) for order in ((0, 2), (2, 0), (1, 1))
+    )
+    sharpest = 0.5 * (xx + yy) - np.sqrt(0.25 * (xx - yy) ** 2 + xy**2)
+    ridge = ((soft == ndimage.maximum_filter(soft, 3)) | (soft > 0.5 * soft.max())) & (
+        soft > 0.25 * soft.max()
+    )
+    ridge &= sharpest < 0
+    width2 = float(np.percentile(-soft[ridge] / sharpest[ridge], 20)) if ridge.any() else 1.0
+    return float(np.sqrt(np.clip(width2 - blur_px**2 - 1 / 12, 0.3**2, 3.0**2)))

@@ -10,8 +10,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from motdiff.blind_search.grids import SYMMETRIES, inverse_symmetry, mirrored
-from motdiff.network import MotDiffNetwork
 from motdiff.network.condition import PHOTO_PX
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.physics_maps import QUICK_STARTS, display_photo, physics_maps, quick_kernels
 from motdiff.network.sampling import sample_paths

@@ -13,7 +13,7 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.point import Point
 from motdiff.metrics import mnc_subpixel, register_shift
 from motdiff.psf_frame import PSF_PX, centred, in_frame
-from motdiff.tracing import trace_psf_to_trajectory
+from motdiff.tracing.path import trace_psf_to_trajectory
 from motdiff.types import BoolArray, FloatArray
 
 _GAP_PX = 2  # breaks in a streak up to twice this are bridged: noise where the light ran fast

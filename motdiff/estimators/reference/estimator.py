@@ -16,7 +16,7 @@ from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.reference import Reference, psf_fit
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, centroid_px, without_faint_light
-from motdiff.tracing import trace_psf_to_trajectory
+from motdiff.tracing.path import trace_psf_to_trajectory
 from motdiff.types import BoolArray, FloatArray
 
 # sigma; slower differences (vignetting, lamps, haze) say little about a kernel and mislead it

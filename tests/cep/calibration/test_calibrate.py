@@ -35,7 +35,7 @@ def estimate(*paths):
 def small_weights(tmp_path, monkeypatch):
     """A tiny network that was never trained, in place of the one of the package."""
     from motdiff.estimators.motdiff import estimator
-    from motdiff.network import NetworkConfig
+    from motdiff.network.config import NetworkConfig
     from motdiff.training.config import DataConfig, TrainingConfig
     from motdiff.training.trainer import Trainer
     from motdiff.training.weight_files import export_weights

@@ -13,7 +13,6 @@ from cep.plots.advice import advice_figure
 from cep.plots.canvas import COLOURS, png_bytes, save
 from cep.plots.codes import code_strips, mtf_figure
 from cep.plots.photos import before_after, psf_figure, trajectory_figure
-from cep.plots.wiring import Wire, WiredBoard, wiring_figure
 from cep.search.advise import advise
 from cep.search.problem import SearchProblem
 from motdiff.motions import boracchi_foi
@@ -180,34 +179,6 @@ def test_pyplot_is_never_loaded():
         " 'matplotlib.figure' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_a_wire_takes_as_much_room_on_every_board():
-    counts = (2, 6)
-    boards = [
-        WiredBoard(
-            name=f"board of {count} wires",
-            order="the shutter triggers the camera",
-            wires=tuple(
-                Wire(pin=f"D{pin}", signal="shutter", end="the driver", between="5 V")
-                for pin in range(count)
-            ),
-            notes=("least exposure: 7.62 ms",),
-        )
-        for count in counts
-    ]
-    figure = wiring_figure(boards)
-    figure.draw_without_rendering()
-    heights_in = []
-    for axes, count in zip(figure.axes, counts, strict=True):
-        boxes = [text.get_window_extent() for text in axes.texts if text.get_text()]
-        assert not any(box.overlaps(other) for i, box in enumerate(boxes) for other in boxes[:i])
-        pins = [text for text in axes.texts if text.get_text().startswith("shutter\nD")]
-        tops = [pin.get_window_extent().y1 / figure.dpi for pin in pins]
-        assert len(tops) == count
-        heights_in += (-np.diff(tops)).tolist()
-    assert min(heights_in) > 0.5
-    np.testing.assert_allclose(heights_in, heights_in[0], rtol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -14,13 +14,10 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import played_psf
 from cep.optics.timeline import timeline
-from cep.plots.wiring import wiring_figure
-from cep.shutter.cameras import CAMERAS
 from cep.shutter.exposure_plan import ShotSettings
 from cep.shutter.release import Release
 from cep.shutter.shoot import open_rig, repeatability, shoot
 from cep.shutter.twin import code_values
-from cep.shutter.wiring import wiring, wiring_lines
 from hw.cameras.camera import Frame, FrameLostError
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno
 from lab.studies.shoot_faults import FAULTS, run
@@ -231,42 +228,3 @@ def test_a_fault_closes_the_shutter_and_keeps_what_was_taken(fault):
     require_simavr()
     outcome = run(fault, seed=1)
     assert outcome.passed, outcome
-
-
-def test_wiring_names_pins_and_the_least_exposure():
-    lines = wiring_lines(wiring("twin", CODE))
-    assert any("D9" in line for line in lines)
-    assert any("A1" in line for line in lines)
-    # 20 us of the firmware, three chips of lead-in, sixteen of the code
-    assert any("least exposure: 7.62 ms" in line for line in lines)
-
-
-def test_a_pico_has_no_busy_output():
-    with pytest.raises(ValueError, match='no output "busy"'):
-        wiring("pylon", CODE, firmware="cxp-rp2040 1", settings=BY_SHUTTER)
-    lines = wiring_lines(wiring("pylon", CODE, firmware="cxp-rp2040 1"))
-    assert any("GP14" in line and "exposure active" in line for line in lines)
-
-
-@pytest.mark.parametrize("kind", [*CAMERAS])
-@pytest.mark.parametrize("release", [None, *Release])
-def test_every_wiring_that_can_be_is_drawn_and_no_text_leaves_the_picture(kind, release):
-    try:
-        boards = wiring(kind, CODE, settings=ShotSettings(release=release))
-    except ValueError:
-        pytest.skip("this camera cannot be released so")
-    if not boards:
-        assert kind == "burst"
-        return
-    figure = wiring_figure(boards)
-    figure.draw_without_rendering()
-    width, height = figure.get_size_inches() * figure.dpi
-    for axes, board in zip(figure.axes, boards, strict=True):
-        words = " ".join(text.get_text() for text in axes.texts)
-        assert all(wire.pin in words for wire in board.wires)
-        for text in axes.texts:
-            extent = text.get_window_extent()
-            assert extent.x0 >= 0
-            assert extent.x1 <= width
-            assert extent.y0 >= 0
-            assert extent.y1 <= height

@@ -4,9 +4,8 @@ import pytest
 from emulators.cxp_controller import HELLO, TRIG, CxpController, Faults
 from emulators.scripted_port import ScriptedPort
 
-from hw.cxp.framing import BINARY, TEXT
 from hw.cxp.link import Link, open_link
-from hw.cxp.protocol import Op, State, Status, Stored, unpack_hello
+from hw.cxp.protocol import BINARY, TEXT, Op, State, Status, Stored, unpack_hello
 from hw.drivers.cxp import Controller
 from hw.errors import WrongStateError
 from hw.port import LinkError, PortError, open_port

@@ -14,8 +14,7 @@ from emulators.avr import HEX, RawPort, build
 from emulators.conformance import ABORT, ARM, CODE, FAULT, LOAD, OK, READ, TRIG, Host, arm, program
 from emulators.tools import require_simavr, require_tool
 
-from hw.cxp.framing import BINARY
-from hw.cxp.protocol import Op, Stored, unpack_status
+from hw.cxp.protocol import BINARY, Op, Stored, unpack_status
 from hw.drivers.cxp import Controller
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno
 from hw.errors import DeviceError, VerifyError

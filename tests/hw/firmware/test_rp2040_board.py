@@ -15,8 +15,7 @@ from pathlib import Path
 import pytest
 from emulators.tools import give_up, require_node_module
 
-from hw.cxp.framing import TEXT
-from hw.cxp.protocol import Op, ResetCause, State, pack_arm, request_body
+from hw.cxp.protocol import TEXT, Op, ResetCause, State, pack_arm, request_body
 from hw.device import DeviceProfile
 from hw.drivers.cxp import PROVEN_FIRMWARE, Controller
 from hw.drivers.driver import Trust

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from hw.program import Program
 from hw.recordings.playback import align
-from hw.recordings.traces import Trace
+from hw.recordings.recording_file import Trace
 
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 PROGRAM = Program(RASKAR, 200_000)

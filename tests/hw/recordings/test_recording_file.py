@@ -1,7 +1,5 @@
 """Reading recordings of logic analysers, whatever wrote them: VCD, and CSV of Saleae Logic."""
 
-from __future__ import annotations
-
 import subprocess
 from datetime import UTC, datetime, timedelta, timezone
 

@@ -22,7 +22,7 @@ from lab.weights import PATH_WEIGHTS
 from motdiff import __main__ as motdiff_commands
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi
-from motdiff.network import NetworkConfig
+from motdiff.network.config import NetworkConfig
 from motdiff.simulate import blur_valid
 from motdiff.tracing.quadratic import QuadraticPath
 from motdiff.training.batches import Batch

@@ -13,7 +13,8 @@ from lab.rivals.psf_diffusion import PsfDiffusionEstimator, psf_signals, psfs_of
 from lab.trainings.rivals import PsfTrainer, psf_batch
 from lab.weights import PSF_WEIGHTS
 from motdiff.metrics import mnc_subpixel
-from motdiff.network import MotDiffNetwork, NetworkConfig
+from motdiff.network.config import NetworkConfig
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.sampling import psfs_of_maps, sample_paths
 from motdiff.simulate import blur_valid

@@ -7,8 +7,7 @@ import pytest
 from scipy import ndimage
 
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.doubts import doubted
-from motdiff.estimators.edge_widths import edge_widths, kernel_edge_widths
+from motdiff.estimators.doubts import doubted, edge_widths, kernel_edge_widths
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 

@@ -6,7 +6,8 @@ import pytest
 import torch
 
 from motdiff.metrics import mnc_subpixel
-from motdiff.network import MotDiffNetwork, NetworkConfig
+from motdiff.network.config import NetworkConfig
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.sampling import PathSamples, psfs_of_maps, sample_paths
 from motdiff.trajectory import Trajectory

@@ -4,8 +4,7 @@ tangles."""
 import numpy as np
 import pytest
 
-from motdiff.tracing import is_tangled
-from motdiff.tracing.path import crossings
+from motdiff.tracing.path import crossings, is_tangled
 from motdiff.trajectory import Trajectory
 
 T = np.linspace(0, 1, 400)

@@ -5,8 +5,8 @@ from scipy import ndimage
 from lab.evaluation.metrics import ordered_distance_px
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, quadratic, random_straight
-from motdiff.tracing import simplest_trajectory, trace_psf_to_trajectory
-from motdiff.tracing.quadratic import QuadraticPath, quadratic_of_psf
+from motdiff.tracing.path import trace_psf_to_trajectory
+from motdiff.tracing.quadratic import QuadraticPath, quadratic_of_psf, simplest_trajectory
 from motdiff.trajectory import Trajectory
 
 

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from lab.evaluation.map_tracing import trace_map
 from lab.evaluation.metrics import ordered_distance_px
 from motdiff.metrics import mnc_subpixel
-from motdiff.tracing import fit_dwell, path, trace_psf, trace_psf_to_trajectory
+from motdiff.tracing import path
+from motdiff.tracing.dwell import fit_dwell
 from motdiff.tracing.graph import Branch, BranchGraph
-from motdiff.tracing.trail import smoothest_trail
+from motdiff.tracing.path import smoothest_trail, trace_psf, trace_psf_to_trajectory
 from motdiff.trajectory import Trajectory
 
 HR_PX = 0.25

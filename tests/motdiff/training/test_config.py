@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from motdiff.network import NetworkConfig
+from motdiff.network.config import NetworkConfig
 from motdiff.training.config import (
     DataConfig,
     LossConfig,

@@ -20,7 +20,7 @@ import torch
 from children import child
 
 from motdiff.blind_search.coarse_to_fine import Start
-from motdiff.network import NetworkConfig
+from motdiff.network.config import NetworkConfig
 from motdiff.network.physics_maps import quick_kernels
 from motdiff.training import prepared as prepared_module
 from motdiff.training import samples as samples_module

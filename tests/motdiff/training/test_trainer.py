@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from motdiff.network import NetworkConfig
+from motdiff.network.config import NetworkConfig
 from motdiff.network.diffusion import cosine_schedule, denoising_loss, dwell_loss, structure_loss
 from motdiff.network.physics_maps import spectral_maps
 from motdiff.network.sampling import sample_paths

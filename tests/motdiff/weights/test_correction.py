@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.estimators.motdiff.correcting import corrected_kernel
 from motdiff.metrics import mnc_subpixel
-from motdiff.network.correction import CorrectionNetwork
+from motdiff.network.correction import CorrectionNetwork, corrected_kernel
 from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 from motdiff.weights import (

@@ -10,7 +10,8 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 
-from motdiff.network import MotDiffNetwork, NetworkConfig
+from motdiff.network.config import NetworkConfig
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.sampling import sample_paths
 from motdiff.training import weight_files as module
 from motdiff.training.batches import Batch

@@ -3,27 +3,35 @@ real ones run."""
 
 from functools import partial
 
+import cv2
 import numpy as np
 import pytest
 import torch
+from skimage import data
 
 from lab.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.blind_search.grids import mirrored
 from motdiff.estimators.base import FoundKernels
-from motdiff.estimators.motdiff import correcting, drawing
+from motdiff.estimators.kernel_score import Judge
+from motdiff.estimators.motdiff import drawing
 from motdiff.estimators.motdiff import estimator as module
-from motdiff.estimators.motdiff.correcting import corrected_kernel, in_odd_frames
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
-from motdiff.estimators.motdiff.estimator import MotDiffEstimator
+from motdiff.estimators.motdiff.estimator import (
+    MotDiffEstimator,
+    agreed_kernels,
+    in_odd_frames,
+    kernels_agreed_at_half,
+)
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, planned
 from motdiff.metrics import mnc_subpixel
-from motdiff.network import NetworkConfig
+from motdiff.network.config import NetworkConfig
+from motdiff.network.correction import corrected_kernel
 from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.photo_noise import noise_sigma, shared_sigma
 from motdiff.progress import Progress
-from motdiff.simulate import blur_valid
+from motdiff.simulate import blur_valid, photograph
 from motdiff.threads import one_thread
 from motdiff.training.config import DataConfig, TrainingConfig
 from motdiff.training.trainer import Trainer
@@ -43,6 +51,8 @@ TINY = {
     "dwell": True,
     "time_width": 16,
 }
+BENT = Trajectory.from_samples([[0, 0], [9, 2], [17, 8], [22, 17]])
+LOST = (Trajectory.straight(9.0, angle_rad=2.2), Trajectory.straight(20.0, angle_rad=1.4))
 
 
 @pytest.fixture(autouse=True)
@@ -428,7 +438,7 @@ def test_the_likeliest_different_kernels_are_corrected_and_the_photo_chooses(mon
         assert sigma == pytest.approx(noise_sigma(shaken))
         return STRAIGHT.psf(63) if numbers[0] == 5 else kernel
 
-    monkeypatch.setattr(correcting, "corrected_kernel", noted)
+    monkeypatch.setattr(module, "corrected_kernel", noted)
     estimator = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=2)
     better = estimator.corrected(shaken[None], found, Progress())
     assert sorted(told) == [(2, 3, 4), (3, 4, 5), (5, 3, 4)]
@@ -449,7 +459,7 @@ def test_a_correction_makes_no_kernel_likelier_than_the_best_was(monkeypatch, sh
     )
     found = FoundKernels(kernels, np.array([0.0, 0.9, 0.4, 0.2]), 2)
     monkeypatch.setattr(
-        correcting, "corrected_kernel", lambda _network, _crops, kernel, _others, **_: kernel
+        module, "corrected_kernel", lambda _network, _crops, kernel, _others, **_: kernel
     )
     better = estimator_with(monkeypatch, Oracle(STRAIGHT), samples=1).corrected(
         shaken[None], found, Progress()
@@ -529,7 +539,7 @@ def test_where_two_corrected_searches_differ_the_network_draws(monkeypatch, shak
     monkeypatch.setattr(module, "PmpEstimator", TwoThenFour)
     monkeypatch.setattr(FakePmp, "motions", (STRAIGHT, LOST[0], LOST[1], STRAIGHT))
     monkeypatch.setattr(
-        correcting, "corrected_kernel", lambda _network, _crops, kernel, *_, **__: kernel
+        module, "corrected_kernel", lambda _network, _crops, kernel, *_, **__: kernel
     )
     oracle = Oracle(STRAIGHT)
     candidates = estimator_with(monkeypatch, oracle).search(shaken[None], Progress())
@@ -556,9 +566,6 @@ def test_where_they_agree_at_half_the_size_nothing_more_is_searched_or_drawn(mon
     assert sizes == [(1, 96, 96)]
     assert estimate.details["scale"] == 1
     assert mnc_subpixel(estimate.psf, STRAIGHT.psf(64)) > 0.95
-
-
-LOST = (Trajectory.straight(9.0, angle_rad=2.2), Trajectory.straight(20.0, angle_rad=1.4))
 
 
 def test_a_classical_kernel_is_the_result_where_the_photo_believes_it_more(
@@ -919,3 +926,48 @@ def test_a_method_may_name_its_file_of_weights(oracle_weights, monkeypatch, tmp_
         named_estimators([f"network:ddim:1@{tmp_path / 'none.safetensors'}"])
     with pytest.raises(ValueError, match="method: must be one of"):
         named_estimators([f"pmp@{file}"])
+
+
+def camera_photo(motion, *, side=256):
+    rng = np.random.default_rng(0)
+    scene = (data.camera()[60 : 60 + side + 64, 100 : 100 + side + 64] / 255) ** 2.2
+    return photograph(scene, motion, rng=rng, read_sigma=0.005)[:side, :side]
+
+
+def agreed_at_half(photo, pair):
+    halved = cv2.resize(photo, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
+    return kernels_agreed_at_half(
+        load_correction(),
+        photo[None],
+        pair,
+        halved[None],
+        judge=Judge(photo[None]),
+        progress=Progress(),
+    )
+
+
+@pytest.fixture(scope="module")
+def blurred():
+    return camera_photo(BENT)
+
+
+def test_kernels_that_differ_are_not_agreed_on(blurred):
+    pair = [motion.psf(63) for motion in LOST]
+    assert agreed_kernels(load_correction(), blurred[None], pair, Judge(blurred[None])) is None
+
+
+def test_what_searches_agree_on_at_half_the_size_is_the_motion_of_the_photo(blurred):
+    candidates = agreed_at_half(blurred, [motion.psf(63) for motion in LOST])
+    (kernel,) = candidates.corrected
+    assert kernel.shape == (63, 63)
+    assert kernel.sum() == pytest.approx(1)
+    assert mnc_subpixel(kernel, BENT.psf(63)) > 0.9
+    assert candidates.confidence > 0.9
+    # enlarged alone it is coarser, and lies where it lay
+    (searched,) = candidates.kernels
+    assert 0.6 < mnc_subpixel(searched, BENT.psf(63)) < mnc_subpixel(kernel, BENT.psf(63))
+
+
+def test_a_motion_that_outgrows_the_frame_is_left_to_the_photo_at_half_its_size():
+    long = Trajectory.straight(84.0, angle_rad=0.3)
+    assert agreed_at_half(camera_photo(long), [motion.psf(63) for motion in LOST]) is None

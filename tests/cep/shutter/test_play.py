@@ -3,7 +3,7 @@
 from emulators.tools import require_simavr
 
 from cep.optics.code import ShutterCode
-from cep.shutter.belt import play_on_triggers
+from cep.shutter.play import play_on_triggers
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno
 
 CODE = ShutterCode("1011001110100110", 400_000)
