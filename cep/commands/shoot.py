@@ -127,7 +127,7 @@ class ShootOptions(MotionOptions):
 
     def check(self) -> None:
         """Refuse options that contradict each other."""
-        from cep.shutter.release import Release
+        from cep.shutter.exposure_plan import Release
 
         if self.trigger is not None and self.trigger not in [*Release]:
             raise ValueError(
@@ -159,8 +159,7 @@ class ShootOptions(MotionOptions):
     def settings(self) -> ShotSettings:
         """Return what the photos are taken with."""
         from cep.optics.camera import Camera
-        from cep.shutter.exposure_plan import ShotSettings
-        from cep.shutter.release import Release
+        from cep.shutter.exposure_plan import Release, ShotSettings
 
         wait_s = exposure_seconds(self.wait)
         assert wait_s is not None

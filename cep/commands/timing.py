@@ -55,7 +55,7 @@ def timing(options: TimingOptions) -> None:
     Example: cep hw timing --camera twin:delay_us=300,row_us=15 --exposure 5ms
     """
     from cep.optics.camera import Camera
-    from cep.shutter.release import Release
+    from cep.shutter.exposure_plan import Release
     from cep.shutter.timing import time_camera
     from motdiff.files.outputs import claim
 

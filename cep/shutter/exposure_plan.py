@@ -1,23 +1,80 @@
-"""Exposure that holds a code: the closed time before it, its program, the least length."""
+"""Exposure that holds a code: who begins it, the closed time before the code, the least length."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from enum import StrEnum
 from typing import Self
 
 from cep.optics.camera import Camera as NoiseModel
 from cep.optics.code import ShutterCode
-from cep.shutter.release import Release
+from hw.cameras.camera import Trigger
 from hw.program import Program
 from motdiff.trajectory import Trajectory
 
+NO_BUSY_OUTPUT = "cxp-rp2040"
+"""Firmware without an output that is high while a code plays."""
 LEAD_IN_S = 0.001
 """Closed time before the code: the camera may begin to expose so late, s."""
 
 _MARGIN_S = 0.0005  # of the exposure beyond the code, for the jitter of its start
 _HOST_MARGIN_S = 0.05  # where no wire times the code
 _CLOCK_SHARE = 0.002  # and for the error of two clocks: ceramic resonators
+
+
+class Release(StrEnum):
+    """Who begins an exposure."""
+
+    SHUTTER = "shutter"
+    """This computer plays the code; the controller's output "busy" triggers the camera."""
+    CAMERA = "camera"
+    """This computer fires the camera; its output "exposure active" triggers the controller."""
+    EXTERNAL = "external"
+    """The machine triggers the controller, whose output "busy" triggers the camera."""
+    HOST = "host"
+    """This computer fires the camera, and plays the code a lead-in later, without a wire."""
+
+    @property
+    def fires(self) -> bool:
+        """Whether this computer fires the camera, instead of a wire to its trigger input."""
+        return self in (Release.CAMERA, Release.HOST)
+
+
+def checked_release(
+    triggers: frozenset[Trigger], kind: str, firmware: str, release: Release | None
+) -> Release:
+    """Return who begins an exposure; a ValueError says what camera or controller lack for it.
+
+    Parameters
+    ----------
+    triggers : frozenset of Trigger
+        Of the camera.
+    kind : str
+        Of camera.
+    firmware : str
+        Of the controller.
+    release : Release or None
+        None for the best that both can: the camera's own trigger input is preferred.
+    """
+    fires = Trigger.SOFTWARE in triggers
+    has_input = Trigger.LINE in triggers
+    has_busy = not firmware.startswith(NO_BUSY_OUTPUT)
+    if release is None:
+        return Release.SHUTTER if has_input and (has_busy or not fires) else Release.CAMERA
+    if release.fires:
+        if not fires:
+            raise ValueError(
+                f"release: this computer cannot fire a camera {kind}:; shutter and external can"
+            )
+        return release
+    if not has_input:
+        raise ValueError(f"release: camera {kind}: has no trigger input; camera and host fire it")
+    if not has_busy and fires:
+        raise ValueError(
+            f'release: {firmware} has no output "busy" to trigger the camera; camera does without'
+        )
+    return release
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,8 +12,16 @@ from tempfile import TemporaryDirectory
 from typing import Any, ClassVar, Self
 
 from cep.shutter.folder import FolderCamera
-from hw.cameras.camera import Camera, CameraError, CameraSettings, Frame, FrameLostError, Trigger
-from hw.cameras.discovery import ConnectedCamera, choose_camera
+from hw.cameras.camera import (
+    Camera,
+    CameraError,
+    CameraSettings,
+    ConnectedCamera,
+    Frame,
+    FrameLostError,
+    Trigger,
+    choose_camera,
+)
 from hw.errors import one_line
 
 _SPEED = re.compile(r"(?:1/)?\d+(?:\.\d+)?s?")

@@ -10,10 +10,9 @@ from cep.files.formatting import duration
 from cep.files.shot_files import ShotRecord
 from cep.optics.code import ShutterCode
 from cep.shutter.burst import BurstCamera
-from cep.shutter.exposure_plan import ExposurePlan, ShotSettings
+from cep.shutter.exposure_plan import ExposurePlan, Release, ShotSettings, checked_release
 from cep.shutter.frame_light import CLIPPED_SHARE, FrameLight, clipped_share
 from cep.shutter.play import HEARTBEAT_S, LEASE_MS
-from cep.shutter.release import Release, checked_release
 from cep.shutter.twin import TwinCamera
 from hw.cameras.camera import Camera, CameraSettings, Frame, FrameLostError, Trigger
 from hw.cxp.protocol import State, Status

@@ -12,9 +12,9 @@ from cep.optics.camera import Camera as NoiseModel
 from cep.plots.camera import exposure_window_figure
 from cep.plots.canvas import save as save_figure
 from cep.shutter.exposure_fit import ExposureTiming, Flashes
+from cep.shutter.exposure_plan import Release, checked_release
 from cep.shutter.exposure_sweep import MOST_FRAMES, Exposed, ExposureSweep, Flash, flash_program
 from cep.shutter.play import LEASE_MS
-from cep.shutter.release import Release, checked_release
 from cep.shutter.rig import Rig
 from cep.shutter.shoot import open_rig
 from hw.cameras.camera import CameraSettings, Trigger

@@ -10,8 +10,7 @@ from cep.files.formatting import duration
 from cep.optics.code import ShutterCode
 from cep.plots.canvas import COLOURS, in_lines, new_figure
 from cep.shutter.cameras import CAMERAS
-from cep.shutter.exposure_plan import ExposurePlan, ShotSettings
-from cep.shutter.release import Release, checked_release
+from cep.shutter.exposure_plan import ExposurePlan, Release, ShotSettings, checked_release
 from hw.cameras import camera_class
 
 if TYPE_CHECKING:

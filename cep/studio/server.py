@@ -23,7 +23,7 @@ from threadpoolctl import threadpool_limits
 
 from cep.files.raw_files import RAW_SUFFIXES
 from cep.optics.camera import Camera
-from cep.shutter.release import Release
+from cep.shutter.exposure_plan import Release
 from cep.studio.documents import opened_document, opened_gyro
 from cep.studio.fields import FieldError, is_text, read_choice
 from cep.studio.jobs import BusyError, Job, Jobs

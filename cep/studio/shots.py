@@ -100,9 +100,8 @@ def shot_archive(file: Path) -> bytes:
 
 def _taken(order: Mapping[str, Any], tell: Callable[..., None]) -> tuple[Shot, tuple[str, ...]]:
     """Take the photo; with it comes a note where the chips were rounded to the board's ticks."""
-    from cep.shutter.exposure_plan import ShotSettings
+    from cep.shutter.exposure_plan import Release, ShotSettings
     from cep.shutter.play import on_ticks
-    from cep.shutter.release import Release
     from cep.shutter.shoot import open_rig
     from hw.emulation.uno import EmulatedUno, EmulationError
 

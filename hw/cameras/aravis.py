@@ -13,8 +13,7 @@ from ctypes import c_void_p as pointer
 from functools import cache
 from typing import Any, ClassVar, Self
 
-from hw.cameras.camera import CameraError, Frame, FrameLostError
-from hw.cameras.discovery import ConnectedCamera, choose_camera
+from hw.cameras.camera import CameraError, ConnectedCamera, Frame, FrameLostError, choose_camera
 from hw.cameras.genicam import GenicamCamera, Value
 
 _FILES = ("libaravis-0.8.so.0", "libaravis-0.8.0.dylib", "libaravis-0.8-0.dll")

@@ -6,8 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, ClassVar, Self
 
-from hw.cameras.camera import CameraError, Frame, FrameLostError
-from hw.cameras.discovery import ConnectedCamera, choose_camera
+from hw.cameras.camera import CameraError, ConnectedCamera, Frame, FrameLostError, choose_camera
 from hw.cameras.genicam import GenicamCamera, Value
 from hw.errors import one_line
 

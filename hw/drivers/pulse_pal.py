@@ -13,7 +13,7 @@ from enum import IntEnum
 from typing import Self
 
 from hw.device import DeviceProfile
-from hw.drivers.write_only import WriteOnlyDevice
+from hw.drivers.driver import WriteOnlyDevice
 from hw.errors import DeviceError
 from hw.export.pulse_pal import MAX_PULSES, pulse_train
 from hw.port import LinkError, OpenPort, PortError, SerialPort, open_port

@@ -8,7 +8,7 @@ import struct
 from typing import Any, Self
 
 from hw.device import DeviceProfile
-from hw.drivers.write_only import WriteOnlyDevice
+from hw.drivers.driver import WriteOnlyDevice
 from hw.errors import DeviceError, WrongStateError, one_line
 from hw.export.scpi import WAVEFORM, commands, sample_rate, samples
 from hw.port import LinkError, PortError

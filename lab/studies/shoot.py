@@ -24,9 +24,8 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.restoration.restore import restore
-from cep.shutter.exposure_plan import ShotSettings
+from cep.shutter.exposure_plan import Release, ShotSettings
 from cep.shutter.play import play_on_triggers
-from cep.shutter.release import Release
 from cep.shutter.rig import Rig, Shot
 from cep.shutter.shoot import open_rig, shoot
 from cep.shutter.twin import TwinCamera, code_values, openings_s

@@ -10,9 +10,8 @@ import pytest
 from emulators.tools import require_simavr
 
 from cep.optics.code import ShutterCode
-from cep.shutter.exposure_plan import ShotSettings
+from cep.shutter.exposure_plan import Release, ShotSettings
 from cep.shutter.folder import FolderCamera
-from cep.shutter.release import Release
 from cep.shutter.shoot import shoot
 from hw.cameras.camera import CameraError, CameraSettings, FrameLostError
 from hw.emulation.uno import EmulatedUno

@@ -13,9 +13,8 @@ from emulators.tools import give_up, require_simavr
 from cep.files.images import read_code_values
 from cep.optics.code import ShutterCode
 from cep.shutter.cameras import CAMERAS
-from cep.shutter.exposure_plan import ShotSettings
+from cep.shutter.exposure_plan import Release, ShotSettings
 from cep.shutter.gphoto2 import Gphoto2Camera
-from cep.shutter.release import Release
 from cep.shutter.rig import Rig
 from hw.cameras import open_camera
 from hw.cameras.camera import CameraError, CameraSettings, FrameLostError, Trigger

@@ -14,8 +14,7 @@ from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import played_psf
 from cep.optics.timeline import timeline
-from cep.shutter.exposure_plan import ShotSettings
-from cep.shutter.release import Release
+from cep.shutter.exposure_plan import Release, ShotSettings
 from cep.shutter.shoot import open_rig, repeatability, shoot
 from cep.shutter.twin import code_values
 from hw.cameras.camera import Frame, FrameLostError

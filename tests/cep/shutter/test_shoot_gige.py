@@ -12,8 +12,7 @@ from emulators.tools import give_up, require_simavr
 
 from cep.files.images import write_image
 from cep.optics.code import ShutterCode
-from cep.shutter.exposure_plan import ShotSettings
-from cep.shutter.release import Release
+from cep.shutter.exposure_plan import Release, ShotSettings
 from cep.shutter.rig import Rig
 from hw.cameras import aravis, open_camera
 from hw.drivers.cxp import Controller

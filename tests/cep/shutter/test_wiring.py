@@ -5,8 +5,7 @@ import pytest
 
 from cep.optics.code import ShutterCode
 from cep.shutter.cameras import CAMERAS
-from cep.shutter.exposure_plan import ShotSettings
-from cep.shutter.release import Release
+from cep.shutter.exposure_plan import Release, ShotSettings
 from cep.shutter.wiring import Wire, WiredBoard, wiring, wiring_figure, wiring_lines
 
 CODE = ShutterCode("1011001110100110", 400_000)

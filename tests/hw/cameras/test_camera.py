@@ -2,7 +2,7 @@
 
 import pytest
 
-from hw.cameras.discovery import ConnectedCamera, choose_camera
+from hw.cameras.camera import ConnectedCamera, choose_camera
 
 TWINS = [
     ConnectedCamera("Acme Fast", ("0001", "10.0.0.5", "Fast")),
