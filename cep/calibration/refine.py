@@ -127,18 +127,19 @@ def refine_motion(
     # explicitly, so that its seconds are under that note
     import_module("torch")
     from motdiff.estimators.coded.candidates import UNEXPLAINED
-    from motdiff.estimators.coded.refine import NOISE_GAIN, PathRefiner
+    from motdiff.estimators.coded.refine import NOISE_GAIN, refined_paths
 
     paths = [trajectory]
     if trajectory.direction == "unknown":
         paths = orders_in_time(trajectory)
-    refiner = PathRefiner(
+    refined = refined_paths(
+        paths,
+        photos,
         [code.bits for code in codes],
         deviation_px=uncertainty_px,
         kernels=kernels,
         progress=lambda share: progress(0.03 + (_FITTED - 0.03) * share, "fitting the path"),
     )
-    refined = refiner.refine(paths, photos)
     progress(_FITTED, "comparing the paths")
     best = refined[0]
     chosen = trajectory

@@ -63,8 +63,16 @@ class RefinedPath:
     deviation_px: float
 
 
-class PathRefiner:
-    """Fit approximate paths to photos of that motion, each taken through a known code.
+def refined_paths(
+    paths: Sequence[Trajectory],
+    photos: Sequence[ArrayLike],
+    codes: Sequence[str],
+    *,
+    deviation_px: float = 1.0,
+    kernels: Estimator | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> list[RefinedPath]:
+    """Fit a path, given in one or several orders in time, to photos of it through known codes.
 
     Each path may deviate from the given one by an error that is smooth in time and of the size
     ``deviation_px``. It is fitted to the kernels of the photos, each estimated in its photo alone,
@@ -72,8 +80,9 @@ class PathRefiner:
 
     Parameters
     ----------
-    codes : sequence of str
-        Bits of each photo's code, in the order of the photos.
+    photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
+    codes : sequence of I str
+        Bits of each photo's code.
     deviation_px : float
         Expected error of the given path, rms over time.
     kernels : Estimator, optional
@@ -81,69 +90,40 @@ class PathRefiner:
     progress : callable, optional
         Called with the finished share 0..1.
 
+    Returns
+    -------
+    list of RefinedPath
+        Of the orders that explain the photos best, each from descents with half, once and twice
+        the given deviation; best first.
+
     Raises
     ------
     ValueError
-        As :func:`motdiff.estimators.coded.codes.check_codes`, or if the deviation is not above 0.
+        As :func:`motdiff.estimators.coded.codes.check_codes` and
+        :func:`motdiff.estimators.coded.exposures.exposures_of`, or if the deviation is not above
+        0.
     """
-
-    def __init__(
-        self,
-        codes: Sequence[str],
-        *,
-        deviation_px: float = 1.0,
-        kernels: Estimator | None = None,
-        progress: Callable[[float], None] | None = None,
-    ) -> None:
-        check_codes(codes)
-        if not (np.isfinite(deviation_px) and deviation_px > 0):
-            raise ValueError(f"deviation_px: must be above 0, got {deviation_px:g}")
-        self._codes = tuple(codes)
-        self._kernels = kernels
-        self._tell = progress
-        self._deviation_px = deviation_px
-
-    def refine(
-        self, paths: Sequence[Trajectory], photos: Sequence[ArrayLike]
-    ) -> list[RefinedPath]:
-        """Refine a path, given in one or several orders in time.
-
-        Parameters
-        ----------
-        photos : sequence of I (H, W) or (H, W, 3) array_like, linear light 0..1
-
-        Returns
-        -------
-        list of RefinedPath
-            Of the orders that explain the photos best, each from descents with half, once and
-            twice the given deviation; best first.
-
-        Raises as :func:`motdiff.estimators.coded.exposures.exposures_of`.
-        """
-        with one_thread_a_call():
-            progress = Progress(self._tell)
-            progress.expect(1.0)
-            exposures = exposures_of(photos, self._codes, kernels=self._kernels, progress=progress)
-            refined = self._refined(paths, exposures, progress)
-            progress.finish()
-            return refined
-
-    def _refined(
-        self, paths: Sequence[Trajectory], exposures: Exposures, progress: Progress
-    ) -> list[RefinedPath]:
+    check_codes(codes)
+    if not (np.isfinite(deviation_px) and deviation_px > 0):
+        raise ValueError(f"deviation_px: must be above 0, got {deviation_px:g}")
+    with one_thread_a_call():
+        work = Progress(progress)
+        work.expect(1.0)
+        exposures = exposures_of(photos, codes, kernels=kernels, progress=work)
         fit = _RefiningFit(exposures)
         factor = exposures.shrunk
         orders = [path.scaled(1 / factor) for path in paths]
         fits = min(len(orders), _MOST_ORDERS) * len(_DEVIATION_FACTORS)
-        progress.expect(_NEAREST_COST * (len(orders) > 1) + fits)
+        work.expect(_NEAREST_COST * (len(orders) > 1) + fits)
         if len(orders) > 1:
             orders = fit.nearest(orders)
-            progress.spend(_NEAREST_COST)
+            work.spend(_NEAREST_COST)
         refined = []
         for path in orders:
-            for candidate in fit.refined(path, self._deviation_px / factor, factor=factor):
+            for candidate in fit.refined(path, deviation_px / factor, factor=factor):
                 refined.append(candidate)
-                progress.spend(1.0)
+                work.spend(1.0)
+        work.finish()
         return sorted(refined, key=lambda candidate: candidate.cost)
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from motdiff.estimators.base import MotionEstimate
-from motdiff.estimators.coded.refine import PathRefiner
+from motdiff.estimators.coded.refine import refined_paths
 from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import timed_distance_px
 from motdiff.trajectory import Trajectory
@@ -45,8 +45,8 @@ def taken(shots):
 
 def refined(taken, paths, photos=2, **options):
     kernels = Given([psf / psf.sum() for psf in taken.psfs[:photos]])
-    return PathRefiner(taken.codes[:photos], kernels=kernels, **options).refine(
-        paths, taken.photos[:photos]
+    return refined_paths(
+        paths, taken.photos[:photos], taken.codes[:photos], kernels=kernels, **options
     )
 
 
@@ -102,11 +102,10 @@ def test_what_lies_between_the_knots_stays(taken) -> None:
 @pytest.mark.parametrize("deviation", [0.0, -1.0, float("nan")])
 def test_an_error_of_nothing_is_refused(deviation) -> None:
     with pytest.raises(ValueError, match=r"^deviation_px: must be above 0"):
-        PathRefiner(CODES, deviation_px=deviation)
+        refined_paths([loop_path()], [], CODES, deviation_px=deviation)
 
 
 def test_photos_of_different_sizes_are_refused() -> None:
     photos = [np.random.default_rng(0).random(shape) for shape in ((96, 80), (96, 90))]
-    refiner = PathRefiner(CODES, kernels=Given())
     with pytest.raises(ValueError, match=r"^photo 2: has 90 x 96 px, the first one 80 x 96"):
-        refiner.refine([loop_path()], photos)
+        refined_paths([loop_path()], photos, CODES, kernels=Given())
