@@ -138,7 +138,7 @@ def calibrate(options: CalibrateOptions) -> None:
 
     Example: cep hw calibrate --port /dev/ttyACM0 --seconds 20
     """
-    from hw.cxp.clock import measure_clock
+    from hw.drivers.cxp import measure_clock
 
     if not 0 < options.seconds < 3600:
         raise ValueError(f"--seconds: must be above 0 and below 3600, got {options.seconds:g}")
@@ -175,8 +175,8 @@ hw.command("emulate")(emulate)
 
 
 def _list_ports(*, ask: bool, as_json: bool) -> None:
+    from hw.cxp.link import ask_ports
     from hw.cxp.protocol import Hello
-    from hw.drivers.cxp import ask_ports
     from hw.port import PortInfo, list_ports
 
     answers: dict[PortInfo, Hello | str | None] = dict.fromkeys(list_ports())

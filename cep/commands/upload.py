@@ -45,7 +45,7 @@ def upload(options: UploadOptions) -> None:
         raise ValueError(f"--driver: must be one of {', '.join(DRIVERS)}, got {driver[:40]!r}")
     if options.arm and options.play:
         raise ValueError("--arm and --play: give one of them, --play arms by itself")
-    if options.clock_ppm and not DRIVERS[driver].capabilities.stretches_chips:
+    if options.clock_ppm and not DRIVERS[driver].stretches_chips:
         raise ValueError(f"--clock-ppm: {driver} cannot stretch chips, only cxp does")
     named_port(options.port)
     program, stored = options.timed_program()

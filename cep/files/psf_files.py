@@ -87,13 +87,18 @@ def load_psf(path: Path | str) -> tuple[NDArray[np.float64], tuple[str, ...]]:
     """
     source = Path(path)
     suffix = source.suffix.lower()
+    psf: NDArray[Any]
     warnings: tuple[str, ...] = ()
     if suffix == ".npy":
         psf = _psf_from_npy(source)
     elif suffix == ".mat":
-        psf = _psf_from_mat(source)
+        variables = read_mat(source, ["psf", "f"])
+        psf = variables["psf"] if "psf" in variables else levin_psf(variables["f"])
     else:
-        psf, warnings = _psf_from_image(source)
+        photo = read_photo(source, gamma="linear", min_side_px=1)
+        warnings = photo.warnings
+        grey = luminance(photo.pixels)
+        psf = grey / (grey.sum() or 1.0)  # a black one is refused below
     if psf.ndim != 2 or min(psf.shape) < 1 or psf.dtype.kind not in "fiu":
         kind = one_line(repr(psf.dtype.name))
         raise ValueError(
@@ -152,15 +157,3 @@ def _psf_from_npy(source: Path) -> NDArray[Any]:
         RecursionError,
     ) as error:
         raise ValueError(f"{source}: not a NumPy array file ({one_line(error)})") from None
-
-
-def _psf_from_mat(source: Path) -> NDArray[Any]:
-    variables = read_mat(source, ["psf", "f"])
-    return variables["psf"] if "psf" in variables else levin_psf(variables["f"])
-
-
-def _psf_from_image(source: Path) -> tuple[NDArray[Any], tuple[str, ...]]:
-    photo = read_photo(source, gamma="linear", min_side_px=1)
-    grey = luminance(photo.pixels)
-    total = float(grey.sum())
-    return np.asarray(grey / (total or 1.0)), photo.warnings  # load_psf refuses a black one

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,7 +95,10 @@ def latex(sheets: Sequence[Sheet]) -> str:
 
 
 def _latex_table(sheet: Sheet) -> str:
-    rows = [[_latex_cell(value) for value in row] for row in (sheet.columns, *sheet.rows)]
+    rows = [
+        [_cell(value, latex_text, r"\textbf{%s}") for value in row]
+        for row in (sheet.columns, *sheet.rows)
+    ]
     body = [" & ".join(row) + r" \\" for row in rows]
     sides = "".join("l" if _is_text(sheet, index) else "r" for index in range(len(sheet.columns)))
     caption = []
@@ -112,13 +115,6 @@ def _latex_table(sheet: Sheet) -> str:
             r"  \end{tabular}",
             r"\end{table}",
         ]
-    )
-
-
-def _latex_cell(value: object) -> str:
-    return "".join(
-        rf"\textbf{{{latex_text(text)}}}" if bold else latex_text(text)
-        for text, bold in cell_parts(value)
     )
 
 
@@ -155,16 +151,15 @@ def markdown(sheets: Sequence[Sheet]) -> str:
 
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
     """Lay out cells as a Markdown table: the first column to the left, figures to the right."""
-    lines = [[_markdown_cell(value) for value in row] for row in (head, *rows)]
+    lines = [[_cell(value, markdown_text, "**%s**") for value in row] for row in (head, *rows)]
     rule = ("---", *("---:",) * (len(head) - 1))
     return "\n".join("| " + " | ".join(line) + " |" for line in (lines[0], rule, *lines[1:]))
 
 
-def _markdown_cell(value: object) -> str:
-    return "".join(
-        f"**{markdown_text(text)}**" if bold else markdown_text(text)
-        for text, bold in cell_parts(value)
-    )
+def _cell(value: object, escaped: Callable[[str], str], bold: str) -> str:
+    """Write a cell in a language: its texts escaped, bold ones put into ``bold``."""
+    texts = ((escaped(text), is_bold) for text, is_bold in cell_parts(value))
+    return "".join(bold % text if is_bold else text for text, is_bold in texts)
 
 
 def _is_text(sheet: Sheet, index: int) -> bool:

@@ -74,21 +74,12 @@ def busiest(image: FloatArray, side: int) -> tuple[int, int]:
     totals = np.pad(np.cumsum(np.cumsum(energy, axis=0), axis=1), ((1, 0), (1, 0)))
     margin = min(_BORDER_PX, (min(grey.shape) - side) // 2)
     step = max(1, side // 4)  # neighbours overlap by three quarters: none falls between two
-    corners = [
-        (row, column)
-        for row in range(margin, grey.shape[0] - side - margin + 1, step)
-        for column in range(margin, grey.shape[1] - side - margin + 1, step)
-    ]
-
-    def structure(corner: tuple[int, int]) -> float:
-        top, west = corner
-        bottom = top + side
-        east = west + side
-        return float(
-            totals[bottom, east] - totals[top, east] - totals[bottom, west] + totals[top, west]
-        )
-
-    return max(corners, key=structure)
+    rows, columns = (np.arange(margin, n - side - margin + 1, step) for n in grey.shape)
+    top, west = rows[:, None], columns
+    bottom, east = top + side, west + side
+    sums = totals[bottom, east] - totals[top, east] - totals[bottom, west] + totals[top, west]
+    row, column = np.unravel_index(sums.argmax(), sums.shape)
+    return int(rows[row]), int(columns[column])
 
 
 def trajectory_figure(photo: ArrayLike, trajectory: Trajectory) -> Figure:

@@ -52,6 +52,9 @@ _SETTINGS = (
     "read_noise",
     "device",
 )
+# each request of a page asks for them again
+_camera = lru_cache(maxsize=32)(cep.Camera.load)
+_profile = lru_cache(maxsize=32)(load_profile)
 _SIDES = ("open", "snapshot", "code")
 _CHOICES = {"view": ("taken", "restored"), "left": _SIDES, "right": _SIDES}
 
@@ -215,17 +218,6 @@ class Setting:
             ["cep", "audit", "code.json", *motion],
         ]
         return [shlex.join(line) for line in lines]
-
-
-# each request of a page asks for it again
-@lru_cache(maxsize=32)
-def _camera(name: str) -> cep.Camera:
-    return cep.Camera.load(name)
-
-
-@lru_cache(maxsize=32)
-def _profile(name: str) -> cep.DeviceProfile:
-    return load_profile(name)
 
 
 def read_setting(document: object) -> Setting:

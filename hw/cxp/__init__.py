@@ -1,1 +1,1 @@
-"""CXP1, the shutter controllers' protocol: frames, requests, link and clock calibration."""
+"""CXP1, the shutter controllers' protocol: frames, requests, and a link to a controller."""

@@ -1,4 +1,4 @@
-"""CXP1 over a serial port: requests, replies, retries, and an abort when anything fails."""
+"""CXP1 over a serial port: requests, retries, an abort when anything fails; asking all ports."""
 
 from __future__ import annotations
 
@@ -24,8 +24,9 @@ from hw.cxp.protocol import (
     unpack_status,
 )
 from hw.errors import DeviceError, device_error
-from hw.port import LinkError, OpenPort, PortError, SerialPort, open_port
+from hw.port import LinkError, OpenPort, PortError, PortInfo, SerialPort, list_ports, open_port
 
+_ASKED_S = 2.5  # each port: a board that its opening resets answers late
 _LONGEST_FRAME = 20_000  # 65535 chips in hexadecimal digits
 _FRAMINGS = (BINARY, TEXT)
 # After one of these this host answers for the shutter: it must be closed when anything fails.
@@ -187,7 +188,9 @@ class Link:
         self._port.write(framing.end + frame if flush else frame)
         deadline = time.monotonic() + self.timeout_s
         while True:
-            frames, self._rest = framing.split(self._rest + self._read())
+            data = self._port.read()
+            self.received_bytes += len(data)
+            frames, self._rest = framing.split(self._rest + data)
             self._rest = self._rest[-_LONGEST_FRAME:]
             # Late replies to an earlier request may come first: they have another op or seq.
             for index, received in enumerate(frames):
@@ -208,11 +211,6 @@ class Link:
         if reply.error:
             raise device_error(reply.error, request=op_name(reply.op), source=self.name)
         return reply.data
-
-    def _read(self) -> bytes:
-        data = self._port.read()
-        self.received_bytes += len(data)
-        return data
 
 
 def open_link(
@@ -249,3 +247,35 @@ def open_link(
     except BaseException:
         link.close()
         raise
+
+
+def ask_ports() -> tuple[tuple[PortInfo, Hello | str], ...]:
+    """Request a HELLO on every serial port: each HELLO, or the reason why there is none.
+
+    Opening a port resets many boards, and other devices receive unexpected bytes.
+    """
+    answers: list[tuple[PortInfo, Hello | str]] = []
+    for info in list_ports():
+        try:
+            link, hello = open_link(info.port, hello_s=_ASKED_S)
+        except (PortError, LinkError) as error:
+            answers.append((info, str(error)))
+        else:
+            link.close()
+            answers.append((info, hello))
+    return tuple(answers)
+
+
+def only_controller() -> str:
+    """Return the port of the only controller that is connected; PortError for none or several."""
+    ports = [info.port for info, answer in ask_ports() if isinstance(answer, Hello)]
+    if not ports:
+        raise PortError(
+            "auto finds no shutter controller, no serial port answers as one: plug it in, or name"
+            " its port"
+        )
+    if len(ports) > 1:
+        raise PortError(
+            f"auto finds {' and '.join(ports)}, all shutter controllers: name one of them"
+        )
+    return ports[0]

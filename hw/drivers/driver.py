@@ -46,22 +46,6 @@ _MEANINGS = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Capabilities:
-    """What a kind of device can do besides storing and playing a program.
-
-    Attributes
-    ----------
-    armed_to_play : bool
-        A program must be armed before it is played, and is not armed afterwards.
-    stretches_chips : bool
-        Chips can be stretched by a known error of the clock.
-    """
-
-    armed_to_play: bool = False
-    stretches_chips: bool = False
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class UploadReport:
     """Outcome of an upload that succeeded.
 
@@ -120,7 +104,10 @@ class Driver(ABC):
     what is returned of it, is None where the device cannot be asked.
     """
 
-    capabilities: ClassVar[Capabilities] = Capabilities()
+    armed_to_play: ClassVar[bool] = False
+    """Whether a program must be armed before it is played, and is not armed afterwards."""
+    stretches_chips: ClassVar[bool] = False
+    """Whether chips can be stretched by a known error of the clock."""
 
     @classmethod
     @abstractmethod
@@ -169,17 +156,16 @@ class Driver(ABC):
             If the device refuses, stops answering, or holds another program than it was sent.
             ABORT has then been sent.
         """
-        armed_to_play = self.capabilities.armed_to_play
         report = self._upload(
             Program(code.bits, chip_ns=code.chip_ns),
             profile=load_profile(profile) if isinstance(profile, str) else profile,
-            arm=arm or (play and armed_to_play),  # some devices only play what is armed
+            arm=arm or (play and self.armed_to_play),  # some devices only play what is armed
             lease_ms=lease_ms,
             clock_ppm=clock_ppm,
         )
         if play:
             self.play()
-            if armed_to_play:  # the play used up the arming
+            if self.armed_to_play:  # the play used up the arming
                 report = replace(report, armed=False, lease_ms=None)
         return report
 

@@ -24,8 +24,6 @@ SIGNALS = ("shutter", "busy", "trigger")
 """Pins watched: D9, A1 and D2."""
 
 _CYCLE_UNITS = 625  # 62.5 ns in units of 100 ps
-
-
 _WANTED = "install gcc, libsimavr-dev and libelf-dev (as they are called on Debian and Ubuntu)"
 _MISSING = {
     "sim_avr.h": "libsimavr-dev",
@@ -87,12 +85,8 @@ class EmulatedUno:
             raise ValueError(f"firmware {firmware} is no file: name an Intel hex file")
         self.firmware = None if firmware is None else Path(firmware)
         self.clock_ppm = clock_ppm
-        self._words = [
-            repr(float(speed)),
-            repr(float(clock_ppm)),
-            repr(float(noise)),
-            str(noise_seed),
-        ]
+        numbers = (speed, clock_ppm, noise)
+        self._words = [*(repr(float(number)) for number in numbers), str(noise_seed)]
         self._board: subprocess.Popen[str] | None = None
         self._port = ""
         self._events: tuple[tuple[int, str, int], ...] = ()

@@ -18,12 +18,7 @@ from motdiff.blind_search.kernel import (
     thresholded,
     without_specks,
 )
-from motdiff.blind_search.latent import (
-    Coupling,
-    l0_pmp_latent,
-    salient_gradients,
-    start_threshold,
-)
+from motdiff.blind_search.latent import Coupling, l0_pmp_latent, salient_gradients, start_threshold
 from motdiff.types import FloatArray
 
 _RATIO = math.sqrt(0.5)  # of neighbouring scales: half as many pixels
@@ -155,7 +150,7 @@ def estimate_kernels(
     cost = 0.0
     total = float(sum(cost * count for cost, count in zip(costs, rounds, strict=True)))
     for scale in reversed(range(scales)):
-        side = _odd(math.ceil(size * _RATIO**scale))
+        side = math.ceil(size * _RATIO**scale) | 1  # odd
         blurred = downsampled(flat, _RATIO**scale)
         if scale == scales - 1:
             kernel = _start_kernel(photos, side)
@@ -343,10 +338,6 @@ def _fitted_to_all(
         rounds=rounds,
     )
     return without_specks(fitted)
-
-
-def _odd(size: int) -> int:
-    return size + 1 - size % 2
 
 
 def _start_kernel(photos: Tensor, side: int) -> Tensor:

@@ -140,9 +140,7 @@ def fuse(
         ]
         probabilities = result.joint.probabilities
     joint = replace(
-        result.joint,
-        probabilities=probabilities,
-        warnings=(*result.joint.warnings, *warnings),
+        result.joint, probabilities=probabilities, warnings=(*result.joint.warnings, *warnings)
     )
     return replace(result, joint=joint)
 

@@ -176,7 +176,7 @@ def fault(value: object, schema: Mapping[str, Any], *, where: str = "") -> str |
     """
     choices = schema.get("anyOf")
     if not _holds(value, schema) or (choices and all(fault(value, choice) for choice in choices)):
-        return _refusal(value, schema, where)
+        return f"{where or 'the document'}: must be {_wanted(value, schema)}, got {_shown(value)}"
     if isinstance(value, dict):
         return _object_fault(value, schema, where)
     if isinstance(value, list):
@@ -254,10 +254,6 @@ def _is(value: object, kind: str) -> bool:
 
 def _same(value: object, constant: object) -> bool:
     return value == constant and isinstance(value, bool) == isinstance(constant, bool)
-
-
-def _refusal(value: object, schema: Mapping[str, Any], where: str) -> str:
-    return f"{where or 'the document'}: must be {_wanted(value, schema)}, got {_shown(value)}"
 
 
 def _shown(value: object) -> str:

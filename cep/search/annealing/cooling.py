@@ -124,17 +124,7 @@ def total_cost(tables: Any, chips: int, code: NDArray[np.int8], otf: Floats) -> 
     work = np.empty((3, BLOCK), np.float32)
     sums = np.empty((len(tables.kinds), len(tables.layout), 2))
     open_chips = int(code.sum())
-    sums_over(
-        tables,
-        otf,
-        np.zeros((2, 3), np.int64),
-        0,
-        chips,
-        open_chips,
-        np.inf,
-        work,
-        sums,
-    )
+    sums_over(tables, otf, np.zeros((2, 3), np.int64), 0, chips, open_chips, np.inf, work, sums)
     return decibels(tables, sums, open_chips)
 
 
@@ -304,17 +294,7 @@ def cool(
         highest = chain.cost[0] - temperature * np.log(1.0 - uniform(random))
         ceiling = sum_of_cost(tables, highest) if early else np.inf
         cost = np.inf
-        if judge(
-            tables,
-            otf,
-            picked,
-            count,
-            limits.chips,
-            open_chips + more,
-            ceiling,
-            work,
-            sums,
-        ):
+        if judge(tables, otf, picked, count, limits.chips, open_chips + more, ceiling, work, sums):
             cost = decibels(tables, sums, open_chips + more)
         if not cost <= highest:
             for c in range(count):

@@ -174,10 +174,7 @@ def codes_to_count(problem: SearchProblem) -> int:
 
 
 def exact(
-    problem: SearchProblem,
-    *,
-    progress: Progress | None = None,
-    threads: int | None = None,
+    problem: SearchProblem, *, progress: Progress | None = None, threads: int | None = None
 ) -> ExactResult:
     """Find the code with the largest minimum of |H|, and prove it.
 
@@ -304,10 +301,7 @@ class _Proof:
         elif self.best.limit > _GROWTH * self.tables.limit:
             self.tables = self.tables.tightened(self.best.limit)
         return Scanner(
-            self.tables,
-            length,
-            ends_open=self.best.on_circle,
-            mirrors=self.problem.mirrors,
+            self.tables, length, ends_open=self.best.on_circle, mirrors=self.problem.mirrors
         )
 
     def _slice(self, scanner: Scanner, heads: tuple[int, int], halt: NDArray[np.bool_]) -> int:

@@ -108,12 +108,7 @@ class Scanner:
     """
 
     def __init__(
-        self,
-        tables: LimitTables,
-        length: int,
-        *,
-        ends_open: bool,
-        mirrors: bool,
+        self, tables: LimitTables, length: int, *, ends_open: bool, mirrors: bool
     ) -> None:
         self.tables = tables
         limits = tables.limits

@@ -193,6 +193,34 @@ def expected_deviation_px(
     return np.asarray((variances[0] + variances[1]).sqrt().numpy(), dtype=np.float64)
 
 
+def candidate_paths(
+    unknowns: Unknowns,
+    terms: Sequence[Term],
+    x: Tensor,
+    costs: Tensor,
+    *,
+    misfit: Callable[[Tensor], float],
+    variance_share: float = 1.0,
+) -> list[CandidatePath]:
+    """Candidates (B, N) with their misfits and the expected errors of their knots.
+
+    Parameters
+    ----------
+    misfit : callable
+        Of a candidate (1, N); above 1 it scales the variances.
+    variance_share : float
+        Of the variances by the curvature.
+    """
+    paths = []
+    for candidate, cost in zip(x[:, None], costs.tolist(), strict=True):
+        path = unknowns.paths(candidate)[0].numpy().astype(np.float64)
+        unexplained = misfit(candidate)
+        noise_factor = np.sqrt(variance_share * max(1.0, unexplained))  # max(1, NaN) is 1
+        deviation_px = noise_factor * expected_deviation_px(unknowns, terms, candidate)
+        paths.append(CandidatePath(path, cost, unexplained, deviation_px))
+    return paths
+
+
 def motion_of_paths(
     method: str,
     paths: Sequence[CandidatePath],

@@ -322,12 +322,7 @@ class _SceneSearch(PhotoFit):
         return self.evolved(x, costs, rng, spend=lambda s: spend(0.8 * s))
 
     def evolved(
-        self,
-        x: Tensor,
-        costs: Tensor,
-        rng: np.random.Generator,
-        *,
-        spend: Callable[[float], None],
+        self, x: Tensor, costs: Tensor, rng: np.random.Generator, *, spend: Callable[[float], None]
     ) -> tuple[Tensor, Tensor]:
         """Candidates and costs, best first, after changes of the best ones while that helps."""
 

@@ -13,8 +13,8 @@ from motdiff.estimators.coded.candidates import (
     SAME_PX,
     CandidatePath,
     Evolution,
+    candidate_paths,
     distinct,
-    expected_deviation_px,
 )
 from motdiff.estimators.coded.exposures import Exposures
 from motdiff.estimators.coded.misfit import (
@@ -187,15 +187,9 @@ class PhotoFit:
 
     def described(self, terms: Sequence[Term], x: Tensor, costs: Tensor) -> list[CandidatePath]:
         """Candidates (B, N) with their misfit and the expected errors of their knots."""
-        described = []
-        for candidate, path, cost in zip(x[:, None], self.paths(x), costs.tolist(), strict=True):
-            misfit = self.misfit(candidate)
-            noise_factor = max(1.0, misfit) if self.has_scene else 1.0
-            deviation_px = np.sqrt(0.5 * noise_factor) * expected_deviation_px(
-                self.unknowns, terms, candidate
-            )
-            described.append(CandidatePath(path, cost, misfit, deviation_px))
-        return described
+        return candidate_paths(
+            self.unknowns, terms, x, costs, misfit=self.misfit, variance_share=0.5
+        )
 
 
 class KernelSearch(PhotoFit):

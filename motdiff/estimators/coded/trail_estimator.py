@@ -16,9 +16,9 @@ from motdiff.estimators.coded.candidates import (
     UNEXPLAINED,
     CandidatePath,
     Evolution,
+    candidate_paths,
     distance_px,
     distinct,
-    expected_deviation_px,
     explained_share,
     merged,
     motion_of_paths,
@@ -295,11 +295,7 @@ class _TrailSearch:
         self.spot_px = min(spot_px(image) for image in images)
 
     def run(self, progress: Progress) -> tuple[list[CandidatePath], int]:
-        """Paths that explain the trails, best first, and how many searches ended at the best.
-
-        Searches, the later ones from random walks alone, are repeated until two of them end at one
-        path that explains the trails, which is then no chance.
-        """
+        """Paths that explain the trails, best first, and how many searches ended at the best."""
         results: list[tuple[Tensor, Tensor]] = []
         for index in range(_SEARCHES):
             results.append(self.evolved(self.starts(traced=not index)))
@@ -315,7 +311,11 @@ class _TrailSearch:
             progress.spend(1 / (_SEARCHES + 1))
             distances_px = [distance_px(self.unknowns, x[0], best[0]) for best, _ in results]
             times = max(1, sum(d < _SAME_PX for d in distances_px))
-        return self.described(x[:_RESULTS], costs[:_RESULTS]), times
+        terms: list[Term] = [self.fine, self.rough]
+        paths = candidate_paths(
+            self.unknowns, terms, x[:_RESULTS], costs[:_RESULTS], misfit=self.misfit
+        )
+        return paths, times
 
     def misfit(self, x: Tensor) -> float:
         """Misfit of a candidate (1, N), with its roughness, as a multiple of the noise.
@@ -433,15 +433,3 @@ class _TrailSearch:
         return distinct(
             self.unknowns, *descend(terms, x, steps=steps), keep=keep, apart_px=_SAME_PX
         )
-
-    def described(self, x: Tensor, costs: Tensor) -> list[CandidatePath]:
-        """Candidates with their misfit and the standard deviations of their knots."""
-        described = []
-        for candidate, cost in zip(x[:, None], costs.tolist(), strict=True):
-            misfit = self.misfit(candidate)
-            path = self.unknowns.paths(candidate)[0].numpy().astype(np.float64)
-            terms: list[Term] = [self.fine, self.rough]
-            noise_factor = max(1.0, misfit) ** 0.5
-            deviation_px = noise_factor * expected_deviation_px(self.unknowns, terms, candidate)
-            described.append(CandidatePath(path, cost, misfit, deviation_px))
-        return described

@@ -138,12 +138,7 @@ class MotDiffEstimator(BlindEstimator):
             if settled is None and halved is not None:
                 progress.expect_more(_HALVED_COST)
                 settled = kernels_agreed_at_half(
-                    self._correction,
-                    crops,
-                    pair,
-                    halved(),
-                    judge=judge,
-                    progress=progress,
+                    self._correction, crops, pair, halved(), judge=judge, progress=progress
                 )
             return settled is not None
 

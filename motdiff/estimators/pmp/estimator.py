@@ -9,11 +9,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from motdiff.blind_search.coarse_to_fine import (
-    PmpSettings,
-    Start,
-    estimate_kernels,
-)
+from motdiff.blind_search.coarse_to_fine import PmpSettings, Start, estimate_kernels
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.blind_estimator import BlindEstimator
 from motdiff.estimators.kernel_score import rank_kernels

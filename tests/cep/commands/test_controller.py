@@ -283,11 +283,11 @@ def ports(monkeypatch):
     from hw import port
 
     def plug(*infos):
-        from hw.drivers import cxp
+        from hw.cxp import link
 
         found = tuple(port.PortInfo(*info) for info in infos)
         monkeypatch.setattr(port, "list_ports", lambda: found)
-        monkeypatch.setattr(cxp, "list_ports", lambda: found)
+        monkeypatch.setattr(link, "list_ports", lambda: found)
 
     return plug
 
