@@ -99,10 +99,7 @@ class DeviceProfile:
     def from_dict(cls, table: Mapping[str, Any], *, source: str = "profile") -> DeviceProfile:
         """Make a profile of its file's content, the inverse of `to_dict`; `source` is its name.
 
-        Raises
-        ------
-        ValueError
-            If it has another schema, an unknown field, or a value out of range.
+        ValueError if it has another schema, an unknown field, or a value out of range.
         """
         figures = dict(table)
         schema = figures.pop("schema", None)
@@ -254,10 +251,7 @@ def profile_names() -> tuple[str, ...]:
 def load_profile(name: str | Path) -> DeviceProfile:
     """Load a built-in profile by name, or one's own by the path of its ``.toml`` file.
 
-    Raises
-    ------
-    ValueError
-        If there is no such profile, or its file cannot be read or is wrong.
+    ValueError if there is no such profile, or its file cannot be read or is wrong.
     """
     text_name = str(name)
     # a path is a file's, whatever its suffix

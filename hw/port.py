@@ -75,10 +75,7 @@ class OpenPort:
     def read(self, size: int | None = None) -> bytes:
         """Read up to `size` bytes, waiting for a short time only.
 
-        Raises
-        ------
-        LinkError
-            If the port was closed or is gone.
+        LinkError if the port was closed or is gone.
         """
         port = self._opened()
         try:
@@ -147,10 +144,7 @@ def list_ports() -> tuple[PortInfo, ...]:
 def port_named(name: str) -> str:
     """Return the port that has a USB serial number, or the name itself when it is none.
 
-    Raises
-    ------
-    PortError
-        If several ports have that serial number.
+    PortError if several ports have that serial number.
     """
     if os.path.exists(name):
         return name

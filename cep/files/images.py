@@ -103,12 +103,9 @@ def read_photo(
 def read_code_values(
     path: Path | str, *, min_side_px: int = MIN_SIDE_PX
 ) -> tuple[NDArray[Any], tuple[str, ...]]:
-    """Read the code values of a PNG, TIFF, JPEG or WebP file as they are stored.
+    """Read the code values of a PNG, TIFF, JPEG or WebP file as they are stored, with warnings.
 
-    Returns
-    -------
-    codes : (H, W) or (H, W, 3) uint8 or uint16 ndarray
-    warnings : tuple of str
+    They are (H, W) or (H, W, 3), in 8 or 16 bits.
     """
     source = Path(path)
     codes, warnings = decode(photo_bytes(source), source)

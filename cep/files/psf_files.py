@@ -32,17 +32,8 @@ _MAT_TEXT_BYTES = 116
 def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple[Path, Path, Path]:
     """Write a PSF as ``.npy``, ``.mat`` and, for people, ``.png``, all three or none.
 
-    They are float32, the variable ``psf``, and 8 bits. In the ``.png`` the largest value is white.
-
-    Parameters
-    ----------
-    folder : existing folder
-    psf : (S, S) array_like
-    stem : str, file name without suffix
-
-    Returns
-    -------
-    tuple of Path : the three files written
+    They are float32, the variable ``psf``, and 8 bits, and are returned in that order. In the
+    ``.png`` the largest value is white. The folder exists; the stem is a name without suffix.
     """
     import cv2
     from scipy.io import savemat

@@ -138,10 +138,7 @@ def _written(folder: Path, stem: str, frame: Frame, record: ShotRecord, *, force
 def record_beside(photo: Path | str) -> ShotRecord | None:
     """Read the record beside a photo; None where there is none.
 
-    Raises
-    ------
-    ValueError
-        If there is one, but damaged; the line names the file.
+    ValueError if there is one, but damaged; the line names the file.
     """
     path = Path(photo).with_suffix(".json")
     if not path.is_file() or stated_schema(path) != PHOTO_SCHEMA:
@@ -175,10 +172,7 @@ def stated_motion(
 ) -> Trajectory | None:
     """Return the one motion that the records of photos state; None where none states one.
 
-    Raises
-    ------
-    ValueError
-        If two state different ones; the line names the photos.
+    ValueError if two state different ones; the line names the photos.
     """
     motions = [
         (photo, record.trajectory)
@@ -197,10 +191,7 @@ def stated_motion(
 def read_shot(photo: Path | str, record: ShotRecord) -> Photo:
     """Read a photo as its record says.
 
-    Raises
-    ------
-    ValueError
-        If it cannot be decoded, or does not hold such code values; the line names it.
+    ValueError if it cannot be decoded, or does not hold such code values; the line names it.
     """
     values, warnings = read_code_values(photo)
     if values.max() > 2**record.bits - 1:

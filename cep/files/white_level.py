@@ -31,15 +31,11 @@ class WhiteLevel:
 
 
 def white_level(codes: NDArray[Any]) -> WhiteLevel:
-    """Find the code value of white from those that a photo holds.
+    """Find the code value of white from those that a photo holds, 8 or 16 bits, any channels.
 
     Many equal values at the top of a noisy photo are saturated. A 16-bit file of consecutive
     values up to 4095 at most holds the code values of 8, 10 or 12 bits: as light of 16 bits, it
     would be below 6 % of full scale throughout.
-
-    Parameters
-    ----------
-    codes : (H, W) or (H, W, C) uint8 or uint16 array
     """
     full = int(np.iinfo(codes.dtype).max)
     largest = int(codes.max())

@@ -80,10 +80,7 @@ class BurstCamera(Camera):
     def plays(self, code: ShutterCode) -> ShutterCode:
         """Take a code, and return it with chips of whole frames, one at least.
 
-        Raises
-        ------
-        ValueError
-            If the video is too short for it.
+        ValueError if the video is too short for it.
         """
         self._frames_a_chip = max(1, round(code.chip_ns * 1e-9 / self.frame_s))
         needed = code.chips * self._frames_a_chip

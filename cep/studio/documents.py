@@ -104,11 +104,8 @@ def extract(file: Path, folder: Path, *, force: bool = False) -> list[Path]:
     All three are made from the file's state: whoever sent the file wrote its command lines, which
     a shell would run.
 
-    Raises
-    ------
-    ValueError
-        If the file is no studio file, its trajectory or code is not the one of its state, or the
-        folder holds such files and ``force`` is not given.
+    ValueError if the file is no studio file, its trajectory or code is not the one of its state,
+    or the folder holds such files and ``force`` is not given.
     """
     document = read_document(file)
     state = _checked(document["state"], file)

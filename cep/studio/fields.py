@@ -34,12 +34,7 @@ _FIELD_OF = {
 
 
 class FieldError(ValueError):
-    """Wrong input, and the field of the page beside which it is shown.
-
-    Attributes
-    ----------
-    field : str
-    """
+    """Wrong input, and the ``field`` of the page beside which it is shown."""
 
     def __init__(self, field: str, message: str) -> None:
         super().__init__(message)

@@ -232,16 +232,12 @@ class LiveBench:
 
 
 class LiveScene:
-    """A scene that is photographed through one code after another, for the eye.
+    """A scene (H, W) or (H, W, 3), linear light, photographed through one code after another.
 
     Its spectrum and the draws of the noise are kept: a pixel has the same deviates in every photo.
     Photon noise is made of a normal deviate z, as the electrons ``m + z sqrt(m) + (z^2 - 1) / 6``,
     rounded: the mean, variance and skewness are those of the Poisson distribution (Cornish and
     Fisher 1938). Drawing that one takes 15 times as long.
-
-    Parameters
-    ----------
-    light : (H, W) or (H, W, 3) array_like, linear light 0..1
     """
 
     def __init__(self, light: ArrayLike) -> None:

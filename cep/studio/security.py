@@ -124,11 +124,6 @@ class Gate:
     A foreign page can make a browser send requests here, and by DNS rebinding even under a name of
     its own. Its requests have another Host or Origin and no cookie, as the cookie is
     ``SameSite=Strict``.
-
-    Parameters
-    ----------
-    app : ASGI application
-    keys : Keys
     """
 
     def __init__(self, app: ASGIApp, keys: Keys) -> None:

@@ -22,10 +22,7 @@ The module itself imports no vendor's library: ``Camera.open`` does.
 def camera_class(kind: str, kinds: Mapping[str, str] = CAMERAS) -> type[Camera]:
     """Import the adapter of a kind of camera.
 
-    Raises
-    ------
-    ValueError
-        If the kind is not known; the line lists those that are.
+    ValueError if the kind is not known; the line lists those that are.
     """
     if kind not in kinds:
         listed = ", ".join(f"{name}:" for name in sorted(kinds))
@@ -38,10 +35,7 @@ def camera_class(kind: str, kinds: Mapping[str, str] = CAMERAS) -> type[Camera]:
 def open_camera(name: str, kinds: Mapping[str, str] = CAMERAS) -> Camera:
     """Open the camera of a name ``kind:address``; the address may hold colons, or be empty.
 
-    Raises
-    ------
-    ValueError
-        If there is no such kind, or no such camera; the line lists those that are.
+    ValueError if there is no such kind, or no such camera; the line lists those that are.
     """
     kind, colon, address = name.partition(":")
     if not colon:

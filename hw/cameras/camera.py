@@ -121,10 +121,7 @@ class Camera(Protocol):
     def controller_port(self, port: str | None) -> str | None:
         """Return the port of its shutter's controller, by the one named; None if it has none.
 
-        Raises
-        ------
-        ValueError
-            If one is needed and not named, or named and not needed.
+        ValueError if one is needed and not named, or named and not needed.
         """
         if port is None:
             raise ValueError(f"port: camera {self.name}: needs a controller; name its port")
@@ -133,10 +130,7 @@ class Camera(Protocol):
     def configure(self, settings: CameraSettings) -> CameraSettings:
         """Set the camera, and return what it really took.
 
-        Raises
-        ------
-        ValueError
-            If it cannot: the exposure's bounds or its triggers are named.
+        ValueError if it cannot: the exposure's bounds or its triggers are named.
         """
 
     def arm(self) -> None:

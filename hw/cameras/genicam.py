@@ -52,10 +52,7 @@ class PixelFormat:
     ) -> NDArray[np.uint8] | NDArray[np.uint16]:
         """Return the (H, W) code values of an image; ``padding`` bytes follow each of its rows.
 
-        Raises
-        ------
-        ValueError
-            If the data are too short for the shape.
+        ValueError if the data are too short for the shape.
         """
         import numpy as np  # not before a camera is opened
 

@@ -58,10 +58,7 @@ class Framing:
     def decode(self, frame: bytes) -> bytes:
         """Return the body of a frame without its end.
 
-        Raises
-        ------
-        FrameError
-            If it is malformed, shorter than a body of two bytes, or its CRC is wrong.
+        FrameError if it is malformed, shorter than a body of two bytes, or its CRC is wrong.
         """
         raw = self.unwrap(frame)
         if len(raw) < 4:
@@ -249,10 +246,7 @@ def op_name(op: int) -> str:
 def unpack_crc(data: bytes) -> int:
     """Parse the data of LOAD's reply: the CRC-32 of the stored program.
 
-    Raises
-    ------
-    FrameError
-        If it is not four bytes.
+    FrameError if it is not four bytes.
     """
     if len(data) != 4:
         raise FrameError(f"LOAD reply has {len(data)} bytes: 4 are needed")
@@ -269,10 +263,7 @@ def pack_arm(lease_ms: int) -> bytes:
 def unpack_hello(data: bytes) -> Hello:
     """Parse the data of HELLO.
 
-    Raises
-    ------
-    FrameError
-        If it is not CXP1 version 1 or announces nothing that can be played.
+    FrameError if it is not CXP1 version 1 or announces nothing that can be played.
     """
     if data[:4] != _MAGIC:
         raise FrameError(f"HELLO reply begins with {data[:4]!r}: {_MAGIC!r} is needed")

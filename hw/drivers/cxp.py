@@ -268,10 +268,8 @@ class Controller(Driver):
     def wait(self, *, timeout_s: float) -> Status:
         """Wait until the device is no longer playing, and return its status.
 
-        Raises
-        ------
-        VerifyError
-            If it still plays after `timeout_s`, or reports a fault; ABORT has then been sent.
+        VerifyError if it still plays after `timeout_s`, or reports a fault; ABORT has then been
+        sent.
         """
         deadline = time.monotonic() + timeout_s
         while True:

@@ -98,10 +98,7 @@ class PulsePalLink:
     def hello(self, *, hello_s: float) -> None:
         """Greet the device for `hello_s` seconds and note its firmware.
 
-        Raises
-        ------
-        PortError
-            If nothing answers, or it is no Pulse Pal of model 2 with 50 us cycles.
+        PortError if nothing answers, or it is no Pulse Pal of model 2 with 50 us cycles.
         """
         heard = self._greet(hello_s)
         if not heard:
@@ -131,10 +128,7 @@ class PulsePalLink:
     def check_in_step(self) -> None:
         """Handshake once more: nothing else may come back.
 
-        Raises
-        ------
-        LinkError
-            If the replies do not fit the commands: it is then unknown which were accepted.
+        LinkError if the replies do not fit the commands: it is then unknown which were accepted.
         """
         heard = self._greet(self.timeout_s)
         if heard != b"K" + struct.pack("<I", self.firmware):
@@ -186,10 +180,7 @@ class PulsePalLink:
     def stop(self) -> None:
         """Stop all channels; the handshake that follows proves that it was done.
 
-        Raises
-        ------
-        LinkError
-            If the handshake is not answered.
+        LinkError if the handshake is not answered.
         """
         self._port.write(bytes([_MENU, _Op.ABORT]))
         if _firmware(self._greet(3 * self.timeout_s)) is None:

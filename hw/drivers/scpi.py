@@ -51,10 +51,7 @@ class ScpiLink:
     def send(self, command: str, data: bytes = b"") -> None:
         """Send a command, with binary data right behind it.
 
-        Raises
-        ------
-        LinkError
-            If the connection is lost.
+        LinkError if the connection is lost.
         """
         try:
             self._opened().write_raw(command.encode("ascii") + data + b"\n")
@@ -68,10 +65,7 @@ class ScpiLink:
     def ask(self, question: str) -> str:
         """Send a query and return its answer.
 
-        Raises
-        ------
-        LinkError
-            If the connection is lost, or no answer comes.
+        LinkError if the connection is lost, or no answer comes.
         """
         self.send(question)
         try:

@@ -101,10 +101,8 @@ class EmulatedUno:
     def start(self) -> Self:
         """Switch it on.
 
-        Raises
-        ------
-        EmulationError
-            If the emulator cannot be compiled, or refuses the firmware, or runs already.
+        EmulationError if the emulator cannot be compiled, or refuses the firmware, or runs
+        already.
         """
         if self._board is not None:
             raise EmulationError("emulated Uno is on already: stop it first")
@@ -144,10 +142,7 @@ class EmulatedUno:
     def check(self) -> None:
         """Check that it still runs.
 
-        Raises
-        ------
-        EmulationError
-            If it has ended, as when its firmware crashed.
+        EmulationError if it has ended, as when its firmware crashed.
         """
         if self._running().poll() is not None:
             self._line()
@@ -274,10 +269,7 @@ class EmulatedUno:
 def build_board() -> Path:
     """Return the emulated Uno's program, compiled into the user's cache folder the first time.
 
-    Raises
-    ------
-    EmulationError
-        If a compiler or a library is missing.
+    EmulationError if a compiler or a library is missing.
     """
     if not sys.platform.startswith("linux"):
         raise EmulationError("emulated Uno runs on Linux only: on Windows use WSL")

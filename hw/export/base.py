@@ -57,10 +57,7 @@ class Exporter(ABC):
 
         Texts of others are not read, and so the rest of it is not checked.
 
-        Raises
-        ------
-        ValueError
-            If the edges are no program's.
+        ValueError if the edges are no program's.
         """
 
     def file_name(self, stem: str) -> str:

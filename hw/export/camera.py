@@ -29,11 +29,8 @@ class CameraRecipe(Exporter):
         A camera that adds ``device.on_bias_ns`` to each exposure by itself gets pulses shorter by
         that; the openings remain where the code has them.
 
-        Raises
-        ------
-        ValueError
-            If there are more pulses than the cameras count, or an opening is no longer than the
-            camera's bias.
+        ValueError if there are more pulses than the cameras count, or an opening is no longer than
+        the camera's bias.
         """
         pulses = program.pulses
         bias = device.on_bias_ns

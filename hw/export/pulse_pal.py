@@ -51,11 +51,8 @@ class PulseTrain:
 def pulse_train(program: Program, /) -> PulseTrain:
     """Turn a program into a custom train.
 
-    Raises
-    ------
-    ValueError
-        If the chip is no whole number of cycles or below two, or if there are too many open chips
-        or cycles.
+    ValueError if the chip is no whole number of cycles or below two, or if there are too many open
+    chips or cycles.
     """
     phase, remainder = divmod(program.chip_ns, CYCLE_NS)
     if remainder or phase < _LEAST_CYCLES:

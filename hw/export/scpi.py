@@ -22,10 +22,7 @@ def samples(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[int, 
     before: the code begins one chip after the trigger. More closed ones follow up to the least
     length the instrument takes.
 
-    Raises
-    ------
-    ValueError
-        If the code is too long for the instrument's memory.
+    ValueError if the code is too long for the instrument's memory.
     """
     if program.chips + 2 > _MOST_SAMPLES:
         raise ValueError(
@@ -40,11 +37,8 @@ def samples(program: Program, device: DeviceProfile = GENERIC, /) -> tuple[int, 
 def sample_rate(program: Program, /) -> str:
     """Sample rate in Sa/s for one chip per sample, as decimal text to the instrument's 1 uSa/s.
 
-    Raises
-    ------
-    ValueError
-        If the chip is too short, or if it is so long that the rounding would change it by more
-        than 1 ppm.
+    ValueError if the chip is too short, or if it is so long that the rounding would change it by
+    more than 1 ppm.
     """
     if program.chip_ns < _LEAST_CHIP_NS:
         raise ValueError(

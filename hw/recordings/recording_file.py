@@ -143,10 +143,7 @@ def read_recording(path: str | Path) -> Recording:
     All that matters in them is ASCII but the signals' names: those in an 8-bit alphabet are read
     as Windows-1252.
 
-    Raises
-    ------
-    ValueError
-        If the file cannot be read or is neither.
+    ValueError if the file cannot be read or is neither.
     """
     try:
         text = _decoded(content(path))
@@ -169,10 +166,7 @@ def read_recording(path: str | Path) -> Recording:
 def _decoded(data: bytes) -> str:
     """Decode UTF-8, -16 or -32, with a mark or without, else Windows-1252.
 
-    Raises
-    ------
-    UnicodeDecodeError
-        If it is neither UTF-8 nor text at all.
+    UnicodeDecodeError if it is neither UTF-8 nor text at all.
     """
     mark = next((mark for mark in _MARKS if data.startswith(mark)), b"")
     if mark:

@@ -51,7 +51,7 @@ def l0_pmp_latent(
     coupling: Coupling,
     exposures: int = 1,
 ) -> Tensor:
-    """Restore a latent photo with few gradients, whose darkest pixel in each patch is near zero.
+    """Restore photos (B / I, H, W) of few gradients, each patch's darkest pixel near zero.
 
     Half-quadratic splitting: the gradients are hard-thresholded, the minimal pixels shrunk, and
     the photo solved for in the Fourier domain, with a growing coupling.
@@ -69,10 +69,6 @@ def l0_pmp_latent(
     exposures : int
         I photos of each scene, which share a latent photo: of ``B = I N`` photos each N-th shows
         the same scene, through a kernel of its own.
-
-    Returns
-    -------
-    (B / I, H, W) float.
 
     References
     ----------
@@ -125,18 +121,10 @@ def start_threshold(photo: Tensor, *, size: int) -> Tensor:
 
 
 def salient_gradients(photo: Tensor, threshold: Tensor) -> tuple[Tensor, Tensor]:
-    """Forward differences of ``photo`` where their squared size reaches ``threshold``, else 0.
+    """Forward differences, right and down, of photos (B, H, W), each (B, H - 1, W - 1).
 
-    A threshold that would keep nothing is lowered until something stays.
-
-    Parameters
-    ----------
-    photo : (B, H, W) float
-    threshold : (B,) float
-
-    Returns
-    -------
-    gx, gy : (B, H - 1, W - 1) float
+    They are 0 where their squared size is below the threshold (B,). One that would keep nothing
+    is lowered until something stays.
     """
     gx, gy = _forward_gradients(photo)
     strength = gx.square() + gy.square()

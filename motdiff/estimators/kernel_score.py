@@ -203,10 +203,7 @@ class Judge:
     def evidence(self, kernels: Sequence[FloatArray]) -> FloatArray:
         """Evidence (K, 3) for kernels (k, k), odd k, sum 1.
 
-        Returns
-        -------
-        Spectral fit and phase evidence (means over crops), and the share of light on the frame's
-        rim.
+        Spectral fit and phase evidence, means over crops; share of light on the frame's rim.
         """
         return np.array(
             side_by_side([partial(self._row, kernel) for kernel in kernels]), dtype=np.float64
@@ -291,10 +288,6 @@ def distinct(
         MNC of every pair.
     count : int
         How many to choose; those of ``first`` at least.
-
-    Returns
-    -------
-    list of int
     """
     chosen = list(first)
     for i in order:

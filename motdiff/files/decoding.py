@@ -140,9 +140,7 @@ def _decoded_tiff(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
 def decoder_output() -> Iterator[list[str]]:
     """Capture standard error of C libraries, to which OpenCV's and LibRaw's decoders write.
 
-    Yields
-    ------
-    list of str, which afterwards holds the lines that were printed, as far as a pipe takes them
+    The list afterwards holds the lines that were printed, as far as a pipe takes them.
     """
     lines: list[str] = []
     with _TURN:

@@ -108,10 +108,7 @@ def json_text(value: object, *, ascii_only: bool = False) -> str:
 def stated_schema(path: Path | str) -> str | None:
     """Return the schema that a JSON file states; None where it states none, or is no JSON file.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    OSError if the file cannot be read.
     """
     try:
         schema = read_json(path)["schema"]
@@ -145,10 +142,7 @@ def read_versioned(path: Path | str, schema: str) -> dict[str, Any]:
 def load_schema(package: str, name: str) -> Mapping[str, Any]:
     """Load ``schemas/NAME.json`` of a package.
 
-    Raises
-    ------
-    ValueError
-        If it has a keyword that readers would pass over.
+    ValueError if it has a keyword that readers would pass over.
     """
     text = (resources.files(package) / "schemas" / f"{name}.json").read_text(encoding="utf-8")
     schema: dict[str, Any] = json.loads(text)

@@ -23,16 +23,7 @@ _SCRIPT = Path(__file__).with_name("_mat_reader.py")
 
 
 def read_mat(path: Path | str, names: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Read variables of a .mat file of version 4, 5, 6 or 7.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Others in the file are passed over.
-
-    Returns
-    -------
-    dict from name to array, of at least one variable
+    """Read those of some variables that a .mat file of version 4, 5, 6 or 7 has, one at least.
 
     Raises
     ------
@@ -67,15 +58,11 @@ def read_mat(path: Path | str, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 
 
 def levin_psf(kernel: NDArray[Any]) -> NDArray[Any]:
-    """Turn the kernel ``f`` of one of Levin's files into a PSF.
+    """Turn the kernel ``f`` (S, T) of one of Levin's files into a PSF.
 
     In these files the blurred photo ``y`` is the sharp one, ``x``, convolved with ``f`` turned by
     180 degrees, and then shifted by up to 4 px. So the PSF, as it is convolved with here, is ``f``
     turned by 180 degrees.
-
-    Parameters
-    ----------
-    kernel : (S, T) array
 
     References
     ----------

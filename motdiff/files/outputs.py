@@ -73,11 +73,8 @@ def write_text(path: Path | str, text: str) -> None:
 def check_file(path: Path | str) -> None:
     """Check, before any work is done, that a file of this name can be written.
 
-    Raises
-    ------
-    ValueError
-        If something other than a regular file is in its place, or its folder is missing or cannot
-        be written to.
+    ValueError if something other than a regular file is in its place, or its folder is missing or
+    cannot be written to.
     """
     place = Path(path)
     if place.is_dir():
@@ -93,11 +90,8 @@ def check_file(path: Path | str) -> None:
 def check_folder(path: Path | str) -> None:
     """Check, before any work is done, that a folder can be written to, or made.
 
-    Raises
-    ------
-    ValueError
-        If a file is in its place, or the folder, or the nearest one above it, cannot be written
-        to.
+    ValueError if a file is in its place, or the folder, or the nearest one above it, cannot be
+    written to.
     """
     place = Path(path)
     if place.exists() and not place.is_dir():
@@ -195,10 +189,8 @@ def claim(
 def claim_folder(path: Path | str, names: Iterable[str], *, force: bool = False) -> None:
     """Check, before any work is done, that a :func:`new_folder` may be written.
 
-    Raises
-    ------
-    ValueError
-        If a file exists and ``force`` is not given, or the folder cannot be made or written to.
+    ValueError if a file exists and ``force`` is not given, or the folder cannot be made or written
+    to.
     """
     target = Path(path)
     check_folder(target)

@@ -116,10 +116,7 @@ class NetworkConfig:
     def from_dict(cls, values: Mapping[str, Any]) -> NetworkConfig:
         """Inverse of `asdict`, also after a JSON round trip (which makes tuples lists).
 
-        Raises
-        ------
-        ValueError
-            If `values` has an unknown field, or one that is out of range.
+        ValueError if `values` has an unknown field, or one that is out of range.
         """
         unknown = sorted(set(values) - {field.name for field in fields(cls)})
         if unknown:

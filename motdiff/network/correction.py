@@ -66,18 +66,9 @@ class CorrectionNetwork(nn.Module):
 
 
 def corrected(network: CorrectionNetwork, maps: Tensor) -> Tensor:
-    """Mean over the eight symmetries of the corrections of maps (B, 11, 64, 64).
+    """Mean over the eight symmetries of the corrections (B, 64, 64) of maps (B, 11, 64, 64).
 
-    Parameters
-    ----------
-    network : CorrectionNetwork
-        In eval mode.
-    maps : (B, 11, 64, 64) float
-        From :func:`correction_maps`.
-
-    Returns
-    -------
-    (B, 64, 64) float: non-negative, sum 1, 0 below 2 % of the peak.
+    They are non-negative, with sum 1, and 0 below 2 % of the peak. The network is in eval mode.
     """
     all_ways = torch.cat([mirrored(maps, symmetry, pitch=1) for symmetry in range(SYMMETRIES)])
     kernels = network(all_ways)[:, None].chunk(SYMMETRIES)
@@ -96,7 +87,7 @@ def corrected_kernel(
     *,
     sigma: float,
 ) -> FloatArray:
-    """Correct a kernel twice by what crops of its photo tell of it.
+    """Correct a kernel twice by crops of its photo: (63, 63), non-negative, sum 1.
 
     Parameters
     ----------
@@ -108,10 +99,6 @@ def corrected_kernel(
         Kernels that the photo might have instead; their frames may differ.
     sigma : float
         Standard deviation of the noise.
-
-    Returns
-    -------
-    (63, 63) float: non-negative, sum 1.
     """
     light = torch.from_numpy(crops.astype(np.float32))
     framed = torch.from_numpy(np.stack([_framed(k) for k in (kernel, *rivals)]))

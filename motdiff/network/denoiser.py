@@ -83,7 +83,7 @@ class Denoiser(nn.Module):
         )
 
     def forward(self, x_t: Tensor, t: Tensor, condition: Tensor) -> Tensor:
-        """Logits of x0 (and of dwell).
+        """Logits (B, 1 or 2, H, W) of x0 (and of dwell).
 
         Parameters
         ----------
@@ -93,10 +93,6 @@ class Denoiser(nn.Module):
             Timestep, 0..999.
         condition : (B, C, H / pitch, W / pitch) float
             Condition.
-
-        Returns
-        -------
-        (B, 1 or 2, H, W) float
         """
         time = self.time(t)  # (B, time_width)
         # eq. 5: Enc(x_t, t) beside the condition, then Dec

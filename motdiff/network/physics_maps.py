@@ -59,7 +59,7 @@ def quick_kernels(
     iterations: int = 2,
     fine_weights: tuple[float, ...] = _QUICK_FINE_WEIGHTS,
 ) -> Tensor:
-    """Kernels of shortened PMP searches, one per start.
+    """Kernels (B, K, 64, 64) of shortened PMP searches, one per start: sum 1, centroid near 32.
 
     Parameters
     ----------
@@ -71,10 +71,6 @@ def quick_kernels(
         Alternations of photo and kernel at each scale.
     fine_weights : tuple of float
         See :class:`motdiff.blind_search.coarse_to_fine.PmpSettings`; with none in half the time.
-
-    Returns
-    -------
-    (B, K, 64, 64) float32: sum 1, centroid near index 32.
     """
     settings = PmpSettings(
         sigma=sigma,
@@ -91,25 +87,12 @@ def quick_kernels(
 
 
 def spectral_maps(photos: Tensor) -> Tensor:
-    """Autocorrelation of the whitened photo and its cepstrum, at lags of -32..31 px.
+    """Autocorrelation and cepstrum (B, 2, 64, 64) of photos (B, C, H, W), lags of -32..31 px.
 
-    Sharp scenes have power spectra near ``1 / f^2``; times ``f^2`` they are about white, and the
-    photo's autocorrelation is about the kernel's. The cepstrum turns the product of spectra into a
-    sum, where the kernel's zeros show as ripples. Means over crops; the scale is the rms of the
-    map.
-
-    Parameters
-    ----------
-    photos : (B, C, H, W) float
-
-    Returns
-    -------
-    (B, 2, 64, 64) float, zero lag at index 32
-
-    Raises
-    ------
-    ValueError
-        If a side is shorter than 64 px.
+    ValueError if a side is shorter than 64 px. Zero lag lies at index 32. Sharp scenes have power
+    spectra near ``1 / f^2``; times ``f^2`` they are about white, and the photo's autocorrelation
+    is about the kernel's. The cepstrum turns the product of spectra into a sum, where the kernel's
+    zeros show as ripples. Means over crops; the scale is the rms of the map.
     """
     height, width = photos.shape[-2:]
     if min(height, width) < PSF_PX:

@@ -82,21 +82,14 @@ class _Walk(NamedTuple):  # made by the ten thousand
 
 
 def smoothest_trail(graph: BranchGraph) -> FloatArray:
-    """Find the walk over all branches with the least bending, and return it as one polyline.
+    """Walk over all branches with the least bending, as one polyline (N, 2) in map pixels.
 
     A walk pays for the bending energy of its Gaussian-smoothed curve, ``integral |G * p''|^2 ds``
     (a reversal costs 4, a right angle 2, going straight through a crossing nothing), for lines it
     runs along again, and for lines it leaves out. Since the energy is felt over several pixels, it
     decides at shallow crossings, where two strands share pixels, as well as at clean ones.
 
-    Parameters
-    ----------
-    graph : BranchGraph
-        In one part.
-
-    Returns
-    -------
-    (N, 2) float, column and row in the pixels of the map.
+    The graph is in one part; points are column and row.
     """
     if not graph.branches:
         return graph.nodes[:1]
@@ -268,17 +261,13 @@ def _turn_cost(recent: list[_Line], following: _Line) -> float:
 
 
 def trace_psf(psf: ArrayLike) -> FloatArray:
-    """Trace the ordered path under a grey PSF: its ridges, straight through crossings.
+    """Trace the ordered path (N, 2), px, under a grey PSF: its ridges, straight at crossings.
 
     Parameters
     ----------
     psf : (H, W) array_like
         Non-negative, with zero displacement at index ``size // 2``; may be thick, speckled or
         noisy.
-
-    Returns
-    -------
-    (N, 2) float, px
 
     Raises
     ------

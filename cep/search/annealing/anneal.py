@@ -368,6 +368,8 @@ class Budget:
     ) -> tuple[_Piece, Stopped]:
         """Take the pieces of a closing polish until it ends or must, soon after Ctrl-C.
 
+        The last one is returned, and the reason of the end of the search with its polish.
+
         Parameters
         ----------
         piece : piece
@@ -379,10 +381,6 @@ class Budget:
             raise KeyboardInterrupt.
         stopped : {"steps", "time", "interrupted", "complete"}
             Reason of the end of the search so far.
-
-        Returns
-        -------
-        The last piece, and the reason of the end of the search with its polish.
         """
         ends_s = self.time_s + max(_POLISH_S, _POLISH_SHARE * self.time_s)
         if stopped == "interrupted":

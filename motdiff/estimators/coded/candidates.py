@@ -160,10 +160,8 @@ def merged(
 ) -> tuple[Tensor, Tensor, int]:
     """Join the results of several searches, each candidates and their costs, best first.
 
-    Returns
-    -------
-    Best distinct candidates, their costs, and how many searches ended within ``same_px`` of the
-    best
+    Returned are the best distinct candidates, their costs, and how many searches ended within
+    ``same_px`` of the best.
     """
     candidates, costs = (torch.cat(tensors) for tensors in zip(*results, strict=True))
     x, costs = distinct(unknowns, candidates, costs, keep=keep, apart_px=same_px)

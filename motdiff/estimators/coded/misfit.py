@@ -246,7 +246,7 @@ class KernelTerm:
 def descend(
     terms: Sequence[Term], x: Tensor, *, steps: int, tolerance: float = 1e-3
 ) -> tuple[Tensor, Tensor]:
-    """Lower the sum of the terms from each candidate by Levenberg-Marquardt; no step raises it.
+    """Candidates (B, N) and costs (B,) after Levenberg-Marquardt descent; no step raises a sum.
 
     Parameters
     ----------
@@ -255,10 +255,6 @@ def descend(
         Most steps.
     tolerance : float
         A candidate whose cost falls by a smaller share in a step is finished.
-
-    Returns
-    -------
-    (B, N) candidates and their (B,) costs
 
     References
     ----------

@@ -102,12 +102,7 @@ class CodedOtfs:
 
 
 class GridOtfs:
-    """OTFs on a grid of frequencies; :meth:`CodedOtfs.on_grid` makes them.
-
-    Attributes
-    ----------
-    H : (B, I, R, C) complex
-    """
+    """OTFs ``H`` (B, I, R, C) on a grid of frequencies; :meth:`CodedOtfs.on_grid` makes them."""
 
     def __init__(
         self,

@@ -39,7 +39,7 @@ def decoded_paths(
     rng: np.random.Generator,
     shifts: FloatArray | None = None,
 ) -> FloatArray:
-    """Draw paths that are, at each time, where the kernels' light fits the codes' bits.
+    """Draw paths (count, knots, 2), px, that are where the kernels' light fits the codes' bits.
 
     The share of a point's light in an exposure shows whether its shutter was open when the path
     passed there. A hidden Markov model over the points of the first kernel, with steps of about
@@ -55,10 +55,6 @@ def decoded_paths(
     shifts : (I, 2) float, optional
         Shift of each kernel against the path, (x, y) px; by correlation with the first kernel when
         omitted.
-
-    Returns
-    -------
-    (count, knots, 2) float, px
 
     References
     ----------

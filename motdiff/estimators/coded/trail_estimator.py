@@ -220,7 +220,7 @@ def _described(paths: Sequence[CandidatePath], times: int, *, photos: int) -> Mo
 def run_by_light(
     path: FloatArray, image: FloatArray, is_open: FloatArray, *, width_px: float
 ) -> FloatArray:
-    """Time a path by the light of its trail: each open moment carries as much.
+    """Time a path (K, 2), px, by the light of its trail: each open moment carries as much.
 
     Parameters
     ----------
@@ -231,10 +231,6 @@ def run_by_light(
         Of each of the pieces of time that the knots bound.
     width_px : float
         Standard deviation of the spot.
-
-    Returns
-    -------
-    (K, 2) float, px, at evenly spaced times
     """
     arc = arc_lengths(path)
     pieces = int(np.clip(arc[-1] / _PIECE_PX, 20, _MOST_PIECES))

@@ -52,11 +52,9 @@ class GyroEstimator:
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Return the motion during the exposure of ``photo``, (H, W) or (H, W, C).
 
-        Raises
-        ------
-        ValueError
-            If the exposure does not lie within the trace, a parameter is not positive, or the path
-            needs a frame larger than the photo, as that of rates in deg/s that were read as rad/s.
+        ValueError if the exposure does not lie within the trace, a parameter is not positive, or
+        the path needs a frame larger than the photo, as that of rates in deg/s that were read as
+        rad/s.
         """
         height, width = crops.luminance(photo).shape
         window = {"start_s": self.start_s, "exposure_s": self.exposure_s}

@@ -1,10 +1,7 @@
 """MoTDiff estimator: kernels of searches corrected, and where these differ PSFs drawn and scored.
 
-Where the corrected kernels of two searches are alike, nothing more is searched. Searches that
-differ on the photo often agree on the photo at half its size: the blur is half as long there,
-varies half as much from place to place, and noise is averaged. The kernel that they agree on,
-enlarged, is corrected on the photo itself. Where they differ there, too, the photo alone chooses
-among corrected kernels.
+Searches that differ on the photo often agree on the photo at half its size: the blur is half as
+long there, varies half as much from place to place, and noise is averaged.
 """
 
 from __future__ import annotations
@@ -245,9 +242,9 @@ def corrected_choice(
 ) -> FoundKernels:
     """Correct the best kernel and the likeliest different ones; choose by the photo alone.
 
-    Their probabilities, none above that of the best before, are handed out in the order of their
-    scores. Kernels that are the same as one of these before the correction are superseded: their
-    probability is 0.
+    Corrected kernels stay in their places, in frames of 63 px. Their probabilities, none above
+    that of the best before, are handed out in the order of their scores. Kernels that are the same
+    as one of these before the correction are superseded: their probability is 0.
 
     Parameters
     ----------
@@ -260,11 +257,6 @@ def corrected_choice(
         How many to correct.
     skip : int
         So many of the first kernels take no part. At least two others do, the best one among them.
-
-    Returns
-    -------
-    FoundKernels with the same kernels in the same places, some of them corrected, in frames of 63
-    px.
     """
     judge = Judge(crops)
     kernels = list(candidates.kernels)

@@ -53,10 +53,7 @@ class PointEstimator:
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion from ``photo``, (H, W) or (H, W, C) float, linear light 0..1.
 
-        Raises
-        ------
-        ValueError
-            If the photo shows no streak that fits the frame.
+        ValueError if the photo shows no streak that fits the frame.
         """
         light = crops.luminance(photo)
         streaks, too_long, cut_off = _streaks(light, crops.clipped_mask(photo))

@@ -80,10 +80,7 @@ class ReferenceEstimator:
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion in ``photo``, (H, W) or (H, W, C) float, linear light 0..1.
 
-        Raises
-        ------
-        ValueError
-            If a photo has no texture, or the two overlap too little for the PSF's frame.
+        ValueError if a photo has no texture, or the two overlap too little for the PSF's frame.
         """
         sharp, blurred = (
             _Photo.of(*named_photo) for named_photo in _clean_channels(self.sharp, photo)

@@ -78,11 +78,12 @@ def fit_psf(
     start: FloatArray | None = None,
     steps: int = 10,
 ) -> FloatArray:
-    """Minimise ``sum W |blurred - sharp * k|^2 / 2 + sparse sum k`` over k >= 0.
+    """Minimise ``sum W |blurred - sharp * k|^2 / 2 + sparse sum k`` over PSFs (size, size) >= 0.
 
-    A projected Newton method: the Hessian is modelled by the autocorrelation of the sharp patches
-    (Toeplitz, so FFTs of the PSF's frame apply and invert it), and an exact line search on the
-    true objective makes every step a descent.
+    The sum of the PSF is the gain of the blurred photo over the sharp one. A projected Newton
+    method: the Hessian is modelled by the autocorrelation of the sharp patches (Toeplitz, so FFTs
+    of the PSF's frame apply and invert it), and an exact line search on the true objective makes
+    every step a descent.
 
     Parameters
     ----------
@@ -94,11 +95,6 @@ def fit_psf(
         Where to begin; nothing but time depends on it.
     steps : int
         Most Newton steps; 3 from a good start are within a percent.
-
-    Returns
-    -------
-    (size, size) float64, non-negative; its sum is the gain of the blurred photo over the sharp
-    one.
     """
     operators = [_Operator(pair, size) for pair in pairs]
     frame = (2 * size, 2 * size)
