@@ -79,7 +79,6 @@ def stored_device(stored: StoredCode, *, source: str) -> DeviceProfile | None:
 
     Parameters
     ----------
-    stored : StoredCode
     source : str
         Its file, for messages.
     """
@@ -101,7 +100,6 @@ def stored_camera(stored: StoredCode, *, source: str) -> Camera | None:
 
     Parameters
     ----------
-    stored : StoredCode
     source : str
         Its file, for messages.
     """

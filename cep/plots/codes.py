@@ -70,7 +70,6 @@ def mtf_figure(
 
     Parameters
     ----------
-    trajectory : Trajectory
     codes : mapping of name to ShutterCode, or to None for the shutter open all the time
     grid : int
         Frequencies per side of a map.

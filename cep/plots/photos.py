@@ -148,13 +148,9 @@ def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
         np.ravel(figure.subplots(1, len(psfs))), psfs.items(), strict=True
     ):
         kernel = np.asarray(psf, dtype=np.float64)
-        half = kernel.shape[0] // 2
-        edges = (
-            -half - 0.5,
-            kernel.shape[1] - half - 0.5,
-            kernel.shape[0] - half - 0.5,
-            -half - 0.5,
-        )
+        rows, columns = kernel.shape
+        start = -(rows // 2) - 0.5
+        edges = (start, start + columns, start + rows, start)
         heatmap = axes.imshow(kernel, cmap="magma", extent=edges, interpolation="nearest")
         axes.plot(0, 0, "+", color="white", markersize=7, markeredgewidth=0.8)
         axes.set(

@@ -25,7 +25,6 @@ def path_and_settings(address: str, **settings: str) -> tuple[Path, dict[str, st
 
     Parameters
     ----------
-    address : str
     **settings : str
         Those that are known, with their defaults.
 

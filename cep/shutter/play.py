@@ -142,8 +142,6 @@ def play_on_triggers(
 
     Parameters
     ----------
-    port : str
-    code : ShutterCode
     plays : int, optional
         How many; until Ctrl-C when omitted.
     wait_s : float

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 from cep.files.formatting import duration
@@ -123,7 +124,6 @@ def wiring(
     ----------
     kind : str
         Of camera, as ``pylon``.
-    code : ShutterCode
     firmware : str, optional
         Of the controller, as it reports it; both boards when omitted.
     settings : ShotSettings, optional
@@ -249,65 +249,37 @@ def _draw(axes: Axes, board: WiredBoard, height_in: float) -> None:
     axes.set_xlim(0, 1)
     axes.set_ylim(-height_in, 0)
     axes.text(0, 0, board.name, fontsize=_SIZE_PT + 2, fontweight="bold", va="top")
-    axes.text(0, -0.22, board.order, fontsize=_SIZE_PT, va="top")
+    text = partial(axes.text, fontsize=_SIZE_PT)
+    text(0, -0.22, board.order, va="top")
     top_in = -0.45
     bottom_in = top_in - _ROW_IN * len(board.wires)
     _box(axes, _BOARD, top_in, bottom_in)
     for index, wire in enumerate(board.wires):
         middle_in = top_in - _ROW_IN * (index + 0.5)
-        axes.text(
-            _BOARD[1] - 0.01,
-            middle_in,
-            f"{wire.signal}\n{wire.pin}",
-            fontsize=_SIZE_PT,
-            ha="right",
-            va="center",
-        )
+        text(_BOARD[1] - 0.01, middle_in, f"{wire.signal}\n{wire.pin}", ha="right", va="center")
         _box(axes, _TARGET, middle_in + 0.36, middle_in - 0.36)
-        box_in = (_TARGET[1] - _TARGET[0]) * _WIDTH_IN
-        axes.text(
-            sum(_TARGET) / 2,
-            middle_in,
-            in_lines(wire.end, box_in, _SIZE_PT),
-            fontsize=_SIZE_PT,
-            ha="center",
-            va="center",
-        )
+        target = in_lines(wire.end, (_TARGET[1] - _TARGET[0]) * _WIDTH_IN, _SIZE_PT)
+        text(sum(_TARGET) / 2, middle_in, target, ha="center", va="center")
         edges = (_BOARD[1], _TARGET[0])
         start, end = reversed(edges) if wire.is_input else edges
-        axes.annotate(
-            "",
-            (end, middle_in),
-            (start, middle_in),
-            arrowprops={
-                "arrowstyle": "-|>",
-                "color": COLOURS[1] if wire.is_input else COLOURS[0],
-                "linewidth": 1.5,
-                "shrinkA": 0,
-                "shrinkB": 0,
-            },
-        )
-        axes.text(
-            (_BOARD[1] + _TARGET[0]) / 2,
-            middle_in + 0.05,
-            in_lines(wire.between, (_TARGET[0] - _BOARD[1]) * _WIDTH_IN - 0.2, _SIZE_PT),
-            fontsize=_SIZE_PT,
-            ha="center",
-            va="bottom",
-        )
+        arrow = {
+            "arrowstyle": "-|>",
+            "color": COLOURS[wire.is_input],
+            "linewidth": 1.5,
+            "shrinkA": 0,
+            "shrinkB": 0,
+        }
+        axes.annotate("", (end, middle_in), (start, middle_in), arrowprops=arrow)
+        between = in_lines(wire.between, (_TARGET[0] - _BOARD[1]) * _WIDTH_IN - 0.2, _SIZE_PT)
+        text(sum(edges) / 2, middle_in + 0.05, between, ha="center", va="bottom")
     notes = "\n".join(in_lines(note, _WIDTH_IN, _SIZE_PT) for note in board.notes)
-    axes.text(0, bottom_in - 0.1, notes, fontsize=_SIZE_PT, va="top")
+    text(0, bottom_in - 0.1, notes, va="top")
 
 
 def _box(axes: Axes, sides: tuple[float, float], top_in: float, bottom_in: float) -> None:
     from matplotlib.patches import Rectangle
 
+    size = (sides[1] - sides[0], top_in - bottom_in)
     axes.add_patch(
-        Rectangle(
-            (sides[0], bottom_in),
-            sides[1] - sides[0],
-            top_in - bottom_in,
-            facecolor="#f2f4f6",
-            edgecolor="#57606a",
-        )
+        Rectangle((sides[0], bottom_in), *size, facecolor="#f2f4f6", edgecolor="#57606a")
     )

@@ -65,7 +65,6 @@ def opened_gyro(file: Path, query: Mapping[str, str]) -> dict[str, Any]:
 
     Parameters
     ----------
-    file : Path
     query : mapping
         ``focal`` px, ``start`` s, ``exposure`` s and ``axes``, the directions of the recording's
         axes.

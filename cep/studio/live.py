@@ -160,7 +160,6 @@ class LiveBench:
 
         Parameters
         ----------
-        code : ShutterCode
         path_error_px : float
             As of :func:`cep.search.advise.advise`.
 
@@ -286,8 +285,6 @@ def broken_limits(
 
     Parameters
     ----------
-    problem : SearchProblem
-    code : ShutterCode
     device : DeviceProfile, optional
         Shutter that plays it; its own sentences come first.
 

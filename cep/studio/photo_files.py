@@ -27,8 +27,6 @@ def write_preview(photo: Path, name: str, image: FloatArray) -> None:
 
     Parameters
     ----------
-    photo : Path
-    name : str
     image : (H, W) or (H, W, 3) float, linear light
         Values outside 0..1 are clipped.
     """

@@ -229,7 +229,6 @@ def make_app(keys: Keys, *, first_state: Mapping[str, Any] | None = None) -> Sta
 
     Parameters
     ----------
-    keys : Keys
     first_state : mapping, optional
         State that a page without one in its address begins with.
     """

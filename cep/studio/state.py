@@ -180,7 +180,6 @@ class Setting:
         ----------
         steps : int, optional
             Moves of a search that found the code.
-        seed : int
         """
         motion = ["--trajectory", "trajectory.json"]
         angle = self.motion.get("angle")

@@ -62,7 +62,6 @@ class Views:
 
         Parameters
         ----------
-        setting : Setting
         steps, seed : int
             Of the search that found the code.
         """

@@ -348,7 +348,6 @@ def stored_program(program: Program, hello: Hello, *, clock_ppm: float = 0.0) ->
 
     Parameters
     ----------
-    program : Program
     hello : Hello
         HELLO of the device.
     clock_ppm : float

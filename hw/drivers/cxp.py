@@ -435,7 +435,6 @@ def measure_clock(
 
     Parameters
     ----------
-    controller : Controller
     seconds : float
         Duration; the error falls with its power of 1.5.
     progress : callable, optional

@@ -70,7 +70,6 @@ def fit_edges(edges: Sequence[tuple[float, int]], program: Program, /) -> EdgeFi
     ----------
     edges : sequence of (float, int)
         Recorded changes of one play as (time_ns, level), in order; at least one opening.
-    program : Program
     """
     nominal = program.edges
     openings = [edge for edge in edges if edge[1]]
@@ -245,7 +244,6 @@ def align(
     ----------
     trace : Trace
         The shutter's signal; its level at rest counts as closed, whichever it is.
-    program : Program
     trigger : Trace or None
         A signal that rises at or shortly before every play; without one, a play begins with its
         first opening.

@@ -110,8 +110,6 @@ def estimate_kernels(
     photos : (B, C, H, W) float32, 0..1
         Blurred photos, grey, each as C crops that share one kernel; any device. Turned already
         where the start has them turned.
-    start : Start
-    settings : PmpSettings
     one_scene : bool
         The photos show one scene, to a few px, equally bright: they share the latent photo, in
         which one kernel's zeros are another's light, and the kernels' shifts are the photos'.

@@ -63,7 +63,6 @@ def described(
 
     Parameters
     ----------
-    candidates : FoundKernels
     method : str
         Name of the estimator.
     factor : int

@@ -34,7 +34,6 @@ def check_options(name: str, option_names: Iterable[str]) -> None:
 
     Parameters
     ----------
-    name : str
     option_names : iterable of str
         Names of the options that have a value.
 

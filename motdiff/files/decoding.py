@@ -36,7 +36,6 @@ def decode(data: bytes, name: object) -> tuple[Samples, tuple[str, ...]]:
 
     Parameters
     ----------
-    data : bytes
     name : path
         For errors and warnings.
 

@@ -458,13 +458,9 @@ def _numbers(
 
 def _unit_of_step(step: float) -> TimeUnit | None:
     """Return which of ns, us and s gives times of this median step 10 Hz to 10 kHz, or None."""
-    if 1e5 <= step <= 1e8:
-        return "ns"
-    if _LEAST_US <= step < 1e5:
-        return "us"
-    if 1e-4 <= step <= 0.1:
-        return "s"
-    return None
+    if _LEAST_US <= step <= 1e8:
+        return "ns" if step >= 1e5 else "us"
+    return "s" if 1e-4 <= step <= 0.1 else None
 
 
 def _guessed_unit(times: FloatArray, path: Path | str) -> TimeUnit:

@@ -98,7 +98,6 @@ def anneal(
 
     Parameters
     ----------
-    problem : SearchProblem
     rng : numpy Generator
         The same seed and ``steps`` give the same code, as long as ``time_s`` is not reached.
     steps : int, optional

@@ -211,13 +211,10 @@ def anneal_chain(
 
     Parameters
     ----------
-    problem : SearchProblem
-    tables : Tables
     code : (n,) int8
         Where it starts.
     temperatures_db : (float, float)
         At the first and after the last move.
-    moves, seed : int
     """
     tables = own_tables(tables)
     limits = LoopLimits.of(problem)
@@ -263,7 +260,6 @@ def cool(
         Of :func:`cep.search.annealing.terms.work_space`.
     temperatures : (2,) float64, dB
         At the first move, and after the last.
-    moves : int
     """
     code = chain.code
     otf = chain.otf

@@ -243,7 +243,6 @@ def sweep_loop(
     random : (1,) uint64
         State of the random numbers, not 0.
     temperature : float, dB
-    moves : int
     deepest : (1,) float64
         Largest smallest |P|^2 on the fine samples yet; changed in place.
     best : (R, n) int8

@@ -247,9 +247,6 @@ def scan(
 
     Parameters
     ----------
-    blocks : CodeBlocks
-    tables : CellTables
-    limits : LoopLimits
     span : (3,) int64
         First head, end of heads, first tail of the first head. Its first and last are moved to
         where the scan stopped: at the end, where ``survivors`` may not hold the next block, or at

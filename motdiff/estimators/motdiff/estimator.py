@@ -287,7 +287,6 @@ def agreed_kernels(
 
     Parameters
     ----------
-    network : CorrectionNetwork
     crops : (C, H, W) float, grey, linear light
     pair : two (k, k) float
         Kernels of the searches in the crops.

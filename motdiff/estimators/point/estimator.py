@@ -141,12 +141,8 @@ def _streaks(light: FloatArray, clipped: BoolArray) -> tuple[list[_Streak], int,
         ):
             continue
         rows, columns = window
-        if (
-            rows.start == 0
-            or columns.start == 0
-            or rows.stop == light.shape[0]
-            or columns.stop == light.shape[1]
-        ):
+        borders = zip((rows.stop, columns.stop), light.shape, strict=True)
+        if 0 in (rows.start, columns.start) or any(stop == size for stop, size in borders):
             cut_off += 1
             continue
         if max(values.shape) > PSF_PX:
