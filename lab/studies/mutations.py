@@ -50,6 +50,8 @@ EXCHANGED = {
 }
 _OPERATOR = re.compile(r"<<|>>|not\s+in|is\s+not|\b(?:is|in|and|or)\b|[<>=!]=|//|\*\*|[-+*/<>]")
 _LONGEST_S = 3600.0  # a mutation that never ends is noticed
+# what git ignores, and tests of the emulators' boards are skipped without
+_NODE_MODULES = Path("tests/emulators/node/node_modules")
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,7 @@ def drawn(root: Path, count: int, rng: np.random.Generator) -> list[Mutation]:
 def mirroring(root: Path, module: Path) -> Path | None:
     """Test module that mirrors a module, or else the tests of its room; None without either."""
     folder = root / "tests" / module.parent
-    path = folder / f"test_{module.stem}.py"
+    path = folder / f"test_{module.stem.strip('_')}.py"
     if path.exists():
         return path.relative_to(root)
     return folder.relative_to(root) if folder.is_dir() and len(module.parts) > 2 else None
@@ -206,6 +208,8 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder) / "clone"
         subprocess.run(["git", "clone", "--quiet", str(repository), str(root)], check=True)
+        if (repository / _NODE_MODULES).is_dir():
+            (root / _NODE_MODULES).symlink_to(repository / _NODE_MODULES)
         workplace = Workplace(root)
         mutations = drawn(root, options.count, np.random.default_rng(options.seed))
         doubtful = []

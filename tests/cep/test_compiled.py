@@ -1,3 +1,5 @@
+import errno
+import io
 import os
 import shutil
 import subprocess
@@ -29,6 +31,17 @@ def test_on_a_full_disk_only_a_folder_that_keeps_code_is_used(package, monkeypat
     assert kept_folder(package, otherwise=None) is None
     (folder / "loops.nbi").touch()
     assert kept_folder(package, otherwise=None) == folder
+
+
+def test_a_folder_with_too_little_room_for_machine_code_is_not_used(package, monkeypatch):
+    class SmallDisk(io.BytesIO):
+        def write(self, data):
+            if self.tell() + len(data) > 500_000:
+                raise OSError(errno.ENOSPC, "No space left on device")
+            return super().write(data)
+
+    monkeypatch.setattr("tempfile.TemporaryFile", lambda **_: SmallDisk())
+    assert kept_folder(package, otherwise=None) is None
 
 
 def test_the_folder_changes_with_any_compiled_source_and_the_old_one_goes(package, tmp_path):
@@ -131,6 +144,7 @@ def test_without_a_folder_that_can_be_written(tmp_path, settings, kept):
     assert done.returncode == 0, done.stderr
     folder = Path(done.stdout.split()[0])
     if kept:
+        assert folder.parent == Path("x/coded-exposure")
         assert (tmp_path / folder).is_dir()
         assert done.stderr == ""
     else:

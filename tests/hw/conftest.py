@@ -15,6 +15,7 @@ if not hasattr(signal, "SIGALRM"):
         "drivers/test_cxp.py",
         "drivers/test_pulse_pal.py",
         "emulation/test_uno.py",
+        "test_port.py",
         "firmware/*",
     ]
 

@@ -13,7 +13,7 @@ import torch
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from motdiff import threads
-from motdiff.threads import one_thread, one_thread_a_call, side_by_side
+from motdiff.threads import one_thread, one_thread_a_call, side_by_side, threads_here
 
 
 @pytest.fixture(autouse=True)
@@ -278,3 +278,15 @@ def test_jobs_still_run_side_by_side_where_each_call_has_one_thread(monkeypatch)
     cores(monkeypatch, 2)
     with one_thread_a_call():
         assert most_at_a_time(4, 2) == 2
+
+
+@pytest.mark.parametrize(
+    ("count", "limit", "expected"),
+    [(6, None, 6), (None, None, 1), (6, "4", 4), (6, "9", 6), (6, "x", 6)],
+)
+def test_a_call_has_all_cores_that_the_environment_allows(monkeypatch, count, limit, expected):
+    cores(monkeypatch, count)
+    if limit is not None:
+        monkeypatch.setenv("OMP_NUM_THREADS", limit)
+    assert threads_here() == expected
+    assert side_by_side([threads_here, threads_here]) == [1, 1] or count is None

@@ -51,9 +51,20 @@ def test_figures_are_of_walks_that_the_design_did_not_see(pair):
 
 
 def test_another_photo_tells_more_and_the_photos_before_keep_their_codes(pair):
+    shares = {}
     three = calibration_set(
-        3, chips=12, chip_ns=500_000, device="flc", rng=np.random.default_rng(0)
+        3,
+        chips=12,
+        chip_ns=500_000,
+        device="flc",
+        rng=np.random.default_rng(0),
+        progress=lambda share, note: shares.setdefault(note, []).append(share),
     )
+    searched = shares["searching codes"]
+    assert searched == sorted(searched)
+    assert 0.1 < searched[0] < 0.2
+    # the search of the third code has the second half, and ends early where it has no more to try
+    assert 0.55 < searched[-1] <= shares["measuring"][0] == 0.95
     assert three.codes[:2] == pair.codes
     assert three.contrast.worst_tenth > pair.contrast.worst_tenth
     assert three.contrast.walks_told >= pair.contrast.walks_told

@@ -5,7 +5,7 @@ import pytest
 
 from cep.calibration import closed_loop
 from cep.calibration.calibrate import Calibration
-from cep.calibration.closed_loop import calibrate_in_loop, calibration_steps
+from cep.calibration.closed_loop import MOST_PHOTOS, calibrate_in_loop, calibration_steps
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from hw.device import load_profile
@@ -148,6 +148,11 @@ def test_the_motion_is_written_after_each_photo(stated, tmp_path):
     assert stored.source["codes"] == [code.bits for code in steps[-1].codes]
     assert [share for share, _ in shares] == sorted(share for share, _ in shares)
     assert shares[-1][1].startswith("photo 2: ")
+    # a photo's share of the most that may be taken
+    for number in (1, 2):
+        begin = (number - 1) / MOST_PHOTOS
+        within = [share for share, note in shares if note.startswith(f"photo {number}: ")]
+        assert begin <= within[0] < within[-1] <= begin + 1 / MOST_PHOTOS
 
 
 def test_photos_before_a_failure_leave_their_motion(stated, tmp_path, monkeypatch):

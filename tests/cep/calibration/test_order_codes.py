@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from cep.calibration.order_codes import gray_planes, longest_rest, search_next
+from cep.calibration.order_codes import _neighbours, gray_planes, longest_rest, search_next
 from cep.calibration.order_contrast import OrderContrast
 from cep.search.limits import Limits, RunLimits
 
@@ -59,6 +59,27 @@ def test_of_other_scores_the_best_code_is_found_as_well():
     )
     assert value == pytest.approx(contrast.of([code]).mean(), rel=1e-3)
     assert value >= 0.9 * mean(contrast.of(codes)).max()
+
+
+def test_neighbours_move_an_edge_all_edges_or_a_chip():
+    code = np.array([0, 0, 0, 1, 1, 1, 0, 0], dtype=np.int8)
+    first_edge = {"01111100", "00111100", "00001100", "00000100"}
+    second_edge = {"00010000", "00011000", "00011110", "00011111"}
+    turned = {"11100000", "00111000", "00001110", "10000011"}
+    chip = {"10011100", "01011100", "00111100", "00001100"}
+    chip |= {"00010100", "00011000", "00011110", "00011101"}
+    neighbours = _neighbours(Limits(CHIPS, (1, CHIPS)), code)
+    found = {"".join(map(str, neighbour)) for neighbour in neighbours}
+    assert found == first_edge | second_edge | turned | chip
+    # at most three open chips, and no run of one
+    few = _neighbours(Limits(CHIPS, (1, 3), RunLimits(min_open=2)), code)
+    assert {"".join(map(str, neighbour)) for neighbour in few} == {
+        "00001100",
+        "00011000",
+        "00111000",
+        "00001110",
+        "11100000",
+    }
 
 
 def test_neighbouring_bins_of_a_gray_code_differ_in_one_plane():

@@ -1,6 +1,8 @@
 """Codes by their bits, files and names."""
 
-from cep.codes.sources import find_code, load_codes
+import pytest
+
+from cep.codes.sources import code_file, code_label, find_code, load_codes
 from cep.files.code_files import StoredCode, write_code
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
@@ -21,3 +23,34 @@ def test_a_complement_is_for_the_shutter_of_its_file(tmp_path):
     assert stored.code == ShutterCode("0010", 5000)
     assert stored.problem == {"device": "flc", "camera": about["camera"]}
     assert not stored.metrics
+
+
+def test_a_file_is_named_by_its_suffix_or_is_there(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("shutter", "1011", "code.json"):
+        write_code(name, StoredCode(ShutterCode("1101", 5000)))
+    assert find_code("shutter").code == ShutterCode("1101", 5000)
+    assert find_code("complement:shutter").code == ShutterCode("0010", 5000)
+    assert code_file("code.json").name == "code.json"
+    # bits stay bits, whatever lies in the folder
+    assert code_file("1011") is None
+    assert find_code("1011").code.bits == "1011"
+    assert code_file("raskar-52") is None
+    # the file that is missing is named, no list of codes
+    with pytest.raises(FileNotFoundError, match=r"cod\.json"):
+        find_code("cod.json")
+
+
+@pytest.mark.parametrize(
+    ("source", "label"),
+    [
+        ("raskar-52", "raskar-52"),
+        ("1011" * 4, "1011" * 4),
+        ("1011" * 5, "101110111011... (20)"),
+        ("folder/code 2.json", "code 2"),
+        ("complement:folder/code 2.json", "complement:code 2"),
+        ("complement:" + "1011" * 5, "complement:101110111011... (20)"),
+    ],
+)
+def test_a_label_is_short(source, label):
+    assert code_label(source) == label

@@ -17,7 +17,6 @@ from scipy.io import savemat
 
 from cep.codes.sources import load_code
 from cep.commands import console
-from cep.commands.errors import explain
 from cep.commands.main import app
 from cep.files.code_files import read_code
 from cep.files.images import read_image, read_photo, write_image
@@ -182,25 +181,6 @@ def test_no_arguments_show_help(cep):
 )
 def test_wrong_usage_is_one_line(cep, arguments):
     assert "--help" in cep.refuses(*arguments)
-
-
-def test_failures_are_one_line_and_exit_1(monkeypatch, capsys):
-    assert explain(RuntimeError("device is gone")) == 1
-    assert explain(ZeroDivisionError("two\nlines")) == 1
-    noted = RuntimeError("device is gone")
-    noted.add_note("look at the shutter")
-    assert explain(noted) == 1
-    assert explain(MemoryError()) == 1
-    lines = capsys.readouterr().err.splitlines()
-    assert lines[:3] == [
-        "cep: device is gone",
-        "cep: ZeroDivisionError: two lines",
-        "cep: device is gone; look at the shutter",
-    ]
-    assert "Traceback" not in "".join(lines)
-    monkeypatch.setenv("CEP_DEBUG", "1")
-    explain(ValueError("why"))
-    assert "cep: why" in capsys.readouterr().err
 
 
 def test_an_interrupt_exits_130(cep, monkeypatch, workplace):

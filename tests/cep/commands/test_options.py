@@ -4,13 +4,11 @@ import inspect
 import re
 import typing
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 import typer
 
 from cep.commands import camera, controller
-from cep.commands.errors import in_options
 from cep.commands.main import app
 
 GYRO = [
@@ -187,72 +185,6 @@ def test_what_is_wrong_in_a_file_keeps_the_files_name_and_field(cep, workplace):
     Path("camera.json").write_text('{"photons_full_scale": -3}')
     line = cep.refuses("audit", "1011", "--camera", "camera.json", "--photons", "100")
     assert "camera.json: photons_full_scale: must" in line
-
-
-def param(name, *opts, kind="option", metavar=None):
-    return SimpleNamespace(name=name, opts=list(opts), param_type_name=kind, metavar=metavar)
-
-
-@pytest.mark.parametrize(
-    ("message", "given", "translated"),
-    [
-        ("exposure_s: must be above 0, got -1", (), "--exposure: must be above 0, got -1"),
-        (
-            "start_s and exposure_s: need a recording",
-            (),
-            "--start and --exposure: need a recording",
-        ),
-        ("open_range: fewest 9 is above most 3", (), "--open: fewest 9 is above most 3"),
-        ("duty: must be LOW:HIGH", (), "--open: must be LOW:HIGH"),
-        ("min_open: conflicts with 3 (open_range)", (), "--min-open: conflicts with 3 (--open)"),
-        ("sharp: not valid with method='pmp'", (), "--sharp: not valid with --method pmp"),
-        (
-            "method: must be one of min_open, got 'min_open'",
-            (),
-            "--method: must be one of --min-open, got 'min_open'",
-        ),
-        ("bits: only 0 and 1", (), "CODE: only 0 and 1"),
-        ("fixed (1 open): no code", (), "fixed (1 open): no code"),
-        ("method (1 open): no code", (), "--method (1 open): no code"),
-        (
-            "open_range 9..12, min_open 4 and method 3 conflict: no",
-            (),
-            "--open 9..12, --min-open 4 and --method 3 conflict: no",
-        ),
-        ("method and sharp.png: no photo", (), "method and sharp.png: no photo"),
-        ("shots/method: no photo", (), "shots/method: no photo"),
-        ("scene: is empty", (), "scene: is empty"),
-        ("scene: needs size=3", (), "scene: needs size=3"),
-        (
-            "method: known are sharp=, code=, method=",
-            (),
-            "--method: known are sharp=, code=, method=",
-        ),
-        ("my_photo.png: is empty", (), "my_photo.png: is empty"),
-        (
-            "camera.json: exposure_s: must be a number",
-            (),
-            "camera.json: exposure_s: must be a number",
-        ),
-        ("--open: must lie within 1..9 (min_open)", (), "--open: must lie within 1..9 (min_open)"),
-        ("the photo is black", (), "the photo is black"),
-    ],
-)
-def test_parameters_are_translated_into_options(message, given, translated):
-    params = [
-        param("code", "code", kind="argument", metavar="CODE"),
-        param("exposure", "--exposure"),
-        param("start_s", "--start"),
-        param("open_chips", "--open", "-k"),
-        param("min_open", "--min-open"),
-        param("method", "--method"),
-        param("sharp", "--sharp"),
-    ]
-    source = {name: SimpleNamespace(name="COMMANDLINE") for name in given}
-    context = SimpleNamespace(
-        command=SimpleNamespace(params=params), get_parameter_source=source.get
-    )
-    assert in_options(message, context) == translated
 
 
 # -- help pages -----------------------------------------------------------------------------------

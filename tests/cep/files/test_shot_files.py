@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cep.files.shot_files import ShotRecord, record_beside, stated_motion
@@ -53,3 +54,12 @@ def test_a_damaged_record_is_refused_by_its_name(field, value, tmp_path):
     with pytest.raises(ValueError, match=r"photo\.json: .") as refused:
         record_beside(tmp_path / "photo.tif")
     assert field in str(refused.value)
+
+
+@pytest.mark.parametrize("bayer", ["RGGB", "BGGR", "GRBG", "GBRG"])
+def test_a_mosaic_of_one_colour_becomes_that_colour(bayer):
+    colour = {"R": 40, "G": 120, "B": 200}
+    cell = np.reshape([colour[letter] for letter in bayer], (2, 2)).astype(np.uint8)
+    light = replace(RECORD, bayer=bayer).light(np.tile(cell, (4, 5)))
+    assert light.shape == (8, 10, 3)
+    np.testing.assert_allclose(light, np.broadcast_to([40, 120, 200], light.shape) / 255)

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import cep
-from cep.optics.path_limits import LARGEST_FRAME_PX, MOST_SAMPLES, check_frame
+from cep.optics.path_limits import LARGEST_FRAME_PX, MOST_SAMPLES, check_frame, check_resolved
 from motdiff.trajectory import LONGEST_PX, Trajectory
 
 CODE = cep.ShutterCode("101100111000")
@@ -52,3 +52,14 @@ def test_others_are_refused_by_the_verbs(path, words):
     ):
         with pytest.raises(ValueError, match=words):
             call()
+
+
+def test_a_chip_covers_a_quarter_of_a_pixel_or_more():
+    path = Trajectory.straight(6.0)
+    check_resolved(path, 24)
+    with pytest.raises(ValueError, match=r"25 chips are too many .* at most 24 can be resolved"):
+        check_resolved(path, 25)
+    at_rest = Trajectory.straight(0.0)
+    check_resolved(at_rest, 1)  # an open shutter needs no motion
+    with pytest.raises(ValueError, match=r"stays in place, .* needs a motion of at least 0\.5 px"):
+        check_resolved(at_rest, 2)

@@ -13,7 +13,7 @@ from cep.plots.advice import advice_figure
 from cep.plots.canvas import COLOURS, png_bytes, save
 from cep.plots.codes import code_strips, mtf_figure
 from cep.plots.photos import before_after, psf_figure, trajectory_figure
-from cep.search.advise import advise
+from cep.search.advise import Advice, advise
 from cep.search.problem import SearchProblem
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
@@ -179,6 +179,17 @@ def test_pyplot_is_never_loaded():
         " 'matplotlib.figure' in sys.modules and 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_where_the_advice_turns_is_shaded_to_the_end_of_the_levels(monkeypatch):
+    problem = SearchProblem.along(Trajectory.straight(6.0), chips=6, camera=Camera(read_noise_e=5))
+    monkeypatch.setattr(Advice, "crossover", ((2000.0, 3000.0), (None, 1500.0), (8000.0, None)))
+    figure = advice_figure(advise(problem, levels=[1000.0, 10_000.0]))
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    to_data = axes.transData.inverted()
+    spans = [patch.get_window_extent().transformed(to_data).intervalx for patch in axes.patches]
+    assert np.ravel(spans) == pytest.approx([2000, 3000, 1000, 1500, 8000, 10_000])
 
 
 @pytest.mark.parametrize(

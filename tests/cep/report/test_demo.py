@@ -127,6 +127,27 @@ def test_a_set_of_photos_tells_the_order(tmp_path):
     assert timed_distance_px(found.estimate.best, scene.motion) < 0.5
 
 
+def test_the_photos_of_a_set_are_searched_on_the_same_crop(monkeypatch):
+    crops = []
+    monkeypatch.setattr("cep.estimate_motion", lambda photos, **_options: crops.extend(photos))
+    scene = small_scene(CODED)
+    photos = find_motion(scene, CODED, exposure_s=0.03).photos
+    assert {crop.shape for crop in crops} == {(192, 192, 3)}
+    height, width = np.subtract(scene.photo.shape[:2], 191)
+    places = [
+        {
+            (row, column)
+            for row in range(height)
+            for column in range(width)
+            if np.array_equal(photo[row, column], crop[0, 0])
+            and np.array_equal(photo[row : row + 192, column : column + 192], crop)
+        }
+        for photo, crop in zip(photos, crops, strict=True)
+    ]
+    assert len(places) == 4
+    assert len(set.intersection(*places)) == 1
+
+
 def test_no_set_through_a_device_that_cannot_play_it(coded, monkeypatch):
     monkeypatch.setattr("cep.estimate_motion", lambda _photo, **_options: coded.estimate)
     found = find_motion(

@@ -66,11 +66,13 @@ def test_the_page_recommends_no_code_where_none_is_advised(plain, page_of):
         page.text,
     )
     assert "best code (not advised)" in page.text
+    assert page.text.count("(not advised)") == 1
 
 
 def test_the_page_leads_with_the_verdict(coded, page_of):
     page = Page(page_of(coded))
     assert coded.code.bits in page.text
+    assert "(not advised)" not in page.text
     assert page.text.index("For ") < page.text.index(coded.advice.here.sentence)
     assert page.text.index(coded.advice.here.sentence) < page.text.index("Gain over the light")
 

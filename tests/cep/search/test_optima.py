@@ -2,10 +2,12 @@
 these cover the problem, starts elsewhere, and never outside the limits.
 """
 
+import math
 import re
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from cep.optics.code import ShutterCode
@@ -14,7 +16,7 @@ from cep.proofs.certify.minimum import chip_minimum, min_chip
 from cep.search.code_search import SearchOptions, search_code
 from cep.search.exhaustive.exact import exact
 from cep.search.limits import RunLimits
-from cep.search.optima import OPTIMA, proven_optimum, proven_starts
+from cep.search.optima import OPTIMA, proven_ceiling, proven_optimum, proven_starts
 from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
@@ -168,3 +170,16 @@ def test_a_covered_search_makes_no_move_and_names_its_proof():
     other = search_code(slower, SearchOptions(steps=1000))
     assert other.stopped == "steps"
     assert slower.allows(other.code)
+
+
+def test_no_code_exceeds_the_ceiling_of_its_chips_and_light():
+    chips = 9
+    codes = np.array(list(np.ndindex(*[2] * chips)))
+    # on a grid a minimum is no smaller than the true one: a slack of its step is left
+    least = np.abs(np.fft.fft(codes, 720, axis=1)).min(axis=1)
+    opened = codes.sum(axis=1)
+    for count in range(3, chips + 1):
+        assert least[opened == count].max() <= proven_ceiling(chips, count) + 0.05 < count
+    best = max(proven_ceiling(chips, count) for count in range(1, chips + 1))
+    assert least.max() == pytest.approx(best, abs=0.05)
+    assert proven_ceiling(200, 100) == math.inf

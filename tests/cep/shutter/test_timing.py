@@ -80,27 +80,63 @@ def test_a_start_before_the_first_possible_flash_is_an_interval():
     assert timing.length.upper - timing.length.lower < 25e-6
 
 
-def test_without_noise_the_fit_is_exact():
-    # four rows of a rolling camera, light at whole and half overlaps: linear, so no error is left
-    start_s, length_s, row_s = 1e-3, 2e-3, 5e-6
-    spans = [(4e-2, 4.01e-2), (1.9e-3, 2e-3), (2.0e-3, 2.1e-3)]
-    spans += [(start_s + shift, start_s + shift + 1e-4) for shift in (-5e-5, -4e-5, -6e-5)]
-    spans += [(start_s + length_s + shift, 3.06e-3) for shift in (-5e-5, -4e-5, -6e-5)]
+def flashes_without_noise(spans, *, start_s, length_s, row_s):
+    """Four rows of a rolling camera under a flash a frame."""
     rows = start_s + row_s * np.arange(4)
     overlap = np.array(
         [np.clip(np.minimum(v, rows + length_s) - np.maximum(u, rows), 0, None) for u, v in spans]
     )
-    flashes = Flashes(
+    return Flashes(
         pulses_s=[np.array([span]) for span in spans],
         brightness=64 + 1e7 * overlap * [1.0, 0.9, 1.1, 0.8],
         noise=np.full(overlap.shape, 0.01),
         clipped=np.zeros(overlap.shape, dtype=bool),
     )
-    timing = fit_exposure(flashes, Window(start_s + 8e-6, length_s - 9e-6, row_s * 1.05))
+
+
+@pytest.mark.parametrize("error_s", [-60e-6, 60e-6])
+def test_a_guess_may_be_wrong_by_more_than_half_a_flash(error_s):
+    """A step of the fit that overshoots is halved."""
+    start_s, length_s, row_s = 1e-3, 2e-3, 5e-6
+    shifts = (-5e-5, -4e-5, -6e-5)
+    spans = [(4e-2, 4.01e-2), (1.9e-3, 2e-3), (2.0e-3, 2.1e-3)]
+    spans += [(start_s + shift, start_s + shift + 1e-4) for shift in shifts]
+    spans += [(start_s + length_s + shift, 3.06e-3) for shift in shifts]
+    timing = fit_exposure(
+        flashes_without_noise(spans, start_s=start_s, length_s=length_s, row_s=row_s),
+        Window(start_s + error_s, length_s, row_s * 1.05),
+    )
     assert timing.start.value == pytest.approx(start_s, abs=1e-8)
     assert timing.length.value == pytest.approx(length_s, abs=1e-8)
+
+
+@pytest.mark.parametrize("start_visible", [True, False])
+def test_without_noise_the_fit_is_exact(start_visible):
+    # light at whole and half overlaps: linear, so no error is left
+    start_s, length_s, row_s = 1e-3, 2e-3, 5e-6
+    shifts = (-5e-5, -4e-5, -6e-5)
+    spans = [(4e-2, 4.01e-2), (1.9e-3, 2e-3), (2.0e-3, 2.1e-3)]
+    spans += [(start_s + length_s + shift, 3.06e-3) for shift in shifts]
+    unseen_before_s = 1.2e-3
+    if start_visible:
+        spans += [(start_s + shift, start_s + shift + 1e-4) for shift in shifts]
+        unseen_before_s = None
+    timing = fit_exposure(
+        flashes_without_noise(spans, start_s=start_s, length_s=length_s, row_s=row_s),
+        Window(start_s + 8e-6, length_s - 9e-6, row_s * 1.05),
+        unseen_before_s=unseen_before_s,
+    )
+    end_s = timing.start.value + timing.length.value
+    assert end_s == pytest.approx(start_s + length_s, abs=1e-8)
     assert timing.row.value == pytest.approx(row_s, abs=1e-8)
     assert timing.jitter.value < 1e-7
+    if start_visible:
+        assert timing.start.value == pytest.approx(start_s, abs=1e-8)
+    else:
+        assert (timing.start.lower, timing.start.upper) == (0.0, unseen_before_s)
+        # from the whole time to the end, to the part of it behind the first possible flash
+        assert timing.length.lower == pytest.approx(end_s - unseen_before_s, abs=2e-6)
+        assert timing.length.upper == pytest.approx(end_s, abs=2e-6)
 
 
 @pytest.mark.parametrize(

@@ -77,3 +77,26 @@ def test_a_wire_takes_as_much_room_on_every_board():
         heights_in += (-np.diff(tops)).tolist()
     assert min(heights_in) > 0.5
     np.testing.assert_allclose(heights_in, heights_in[0], rtol=0.01)
+
+
+def test_texts_of_a_wire_are_broken_where_their_room_ends():
+    end = "gate of the transistor that switches the light's supply, and its ground"
+    between = "a resistor of 1 kOhm in the wire and one of 10 kOhm from it to ground"
+    wire = Wire(pin="D9", signal="shutter", end=end, between=between)
+    figure = wiring_figure([WiredBoard(name="Uno", order="alone", wires=(wire,), notes=())])
+    figure.draw_without_rendering()
+    (axes,) = figure.axes
+    board, target = sorted(
+        (box.get_window_extent() for box in axes.patches), key=lambda box: box.x0
+    )
+    texts = {" ".join(text.get_text().split()): text for text in axes.texts}
+    pin, goal, part = (texts[words] for words in ("shutter D9", end, between))
+    for text, room in ((pin, board), (goal, target)):
+        extent = text.get_window_extent()
+        assert room.x0 < extent.x0 < extent.x1 < room.x1
+        assert room.y0 < extent.y0 < extent.y1 < room.y1
+    extent = part.get_window_extent()
+    assert board.x1 < extent.x0 < extent.x1 < target.x0
+    # and not before: most of the room's width is used
+    assert goal.get_window_extent().width > 0.5 * target.width
+    assert extent.width > 0.5 * (target.x0 - board.x1)

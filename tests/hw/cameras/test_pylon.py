@@ -169,8 +169,10 @@ def test_the_settings_are_put_back_at_close(trigger, monkeypatch):
 
 def test_a_line_is_kept_that_the_user_had_chosen(camera):
     camera.features.set("TriggerSource", "Line3")
+    camera.features.set("TriggerActivation", "FallingEdge")
     camera.configure(CameraSettings(exposure_s=0.01, trigger=Trigger.LINE))
     assert camera.features.get("TriggerSource") == "Line3"
+    assert camera.features.get("TriggerActivation") == "RisingEdge"  # as the shutter's output
     assert camera.features.get("ExposureMode") == "Timed"
 
 

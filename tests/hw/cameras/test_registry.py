@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from hw.cameras import CAMERAS, camera_class, open_camera
+from hw.cameras.camera import Camera
 
 
 class Recorder:
@@ -47,3 +48,13 @@ def test_an_adapter_has_its_kind_and_loads_without_its_library(kind):
 
 def test_camera_class_is_typed_by_the_protocol():
     assert camera_class("recorder", KINDS) is Recorder
+
+
+def test_a_camera_of_its_own_needs_the_port_of_a_controller():
+    class Adapter(Camera):
+        name = "adapter"
+
+    camera = Adapter()
+    assert camera.controller_port("COM3") == "COM3"
+    with pytest.raises(ValueError, match="port: camera adapter: needs a controller"):
+        camera.controller_port(None)

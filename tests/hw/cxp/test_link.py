@@ -95,6 +95,28 @@ def test_retry_sends_the_same_frame_after_ending_half_a_frame():
     assert port.exchanges == []
 
 
+def test_a_reply_is_waited_for_until_the_timeout():
+    class SlowPort(ScriptedPort):
+        """A port with nothing to read for some reads after a request."""
+
+        reads = 0
+
+        def read(self, size):
+            self.reads += 1
+            return super().read(size) if self.reads > 5 else b""
+
+    port = SlowPort(("05 05 01 db f2 00", "03 85 01 03 07 2f 00"))
+    with Link(port, name="script", timeout_s=5.0, attempts=1) as link:
+        assert link.request(Op.TRIG) == b""
+        assert link.retries == 0
+    silent = ScriptedPort(("05 05 01 db f2 00", ""))
+    with (
+        Link(silent, name="script", timeout_s=0.02, attempts=1) as link,
+        pytest.raises(LinkError),
+    ):
+        link.request(Op.TRIG)
+
+
 def test_old_foreign_and_broken_replies_are_ignored():
     # In order: another seq, another op, a wrong CRC, noise, a request (our echo), then the right
     # reply.

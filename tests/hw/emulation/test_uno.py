@@ -6,12 +6,14 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from emulators.avr import HEX
 from emulators.tools import require_simavr, require_tool
 
 from hw.drivers.cxp import Controller
+from hw.emulation import uno as board_module
 from hw.emulation.uno import CLOCK_HZ, SIGNALS, EmulatedUno, EmulationError, build_board
 from hw.program import Program
 
@@ -226,3 +228,14 @@ def test_it_does_not_outlive_who_started_it():
     while port.exists():  # the terminal goes with the process that has it open
         assert time.monotonic() < end
         time.sleep(0.02)
+
+
+@pytest.mark.parametrize(("code", "flags"), [(0, ["-I/opt/simavr"]), (1, None)])
+def test_headers_are_where_pkg_config_finds_them_or_in_the_usual_places(monkeypatch, code, flags):
+    monkeypatch.setattr(board_module.shutil, "which", lambda _name: "/usr/bin/pkg-config")
+    answer = SimpleNamespace(returncode=code, stdout="-I/opt/simavr\n")
+    monkeypatch.setattr(board_module.subprocess, "run", lambda *_arguments, **_options: answer)
+    usual = ["-I/usr/include/simavr", "-I/usr/local/include/simavr"]
+    assert board_module._include_flags() == (flags or usual)
+    monkeypatch.setattr(board_module.shutil, "which", lambda _name: None)
+    assert board_module._include_flags() == usual

@@ -58,6 +58,35 @@ def test_each_scale_has_its_alternations_and_the_refinement_closes_where_all_gra
     assert kernel.shape == (1, 13, 13)
 
 
+def test_priors_fade_to_their_floors_and_progress_ends_at_one(monkeypatch):
+    weights = []
+    shares = []
+
+    def latent(wrapped, _kernel, *, intensity_weight, gradient_weight, **_):
+        weights.append((intensity_weight, gradient_weight))
+        return wrapped
+
+    monkeypatch.setattr(coarse_to_fine, "l0_pmp_latent", latent)
+    light = torch.from_numpy(dead_leaves(40, 0).astype(np.float32))[None, None]
+    estimate_kernels(
+        light,
+        Start(13, gradient_weight=4e-3),
+        settings=PmpSettings(iterations=18, last_iterations=5, fine_weights=()),
+        on_progress=shares.append,
+    )
+    intensity, gradient = np.transpose(weights)
+    powers = 1.1 ** -np.arange(41.0)
+    np.testing.assert_allclose(intensity, np.maximum(0.1 * powers, 1e-2))
+    np.testing.assert_allclose(gradient, np.maximum(4e-3 * powers, 1e-4))
+    assert len(shares) == 42
+    assert shares[-2:] == pytest.approx([1, 1])
+    # an alternation takes longer at full size than at half or a quarter of the pixels
+    takes = np.diff(shares[:-1], prepend=0.0)
+    np.testing.assert_allclose(takes[:18], takes[0])
+    np.testing.assert_allclose(takes[18:36], takes[18])
+    assert 0 < takes[0] < takes[18] < takes[36]
+
+
 def test_looking_at_all_gradients_at_each_scale_brings_the_search_nearer():
     """Six shaken photos, the search shortened: salient edges alone lead away, even from the
     truth."""

@@ -212,6 +212,22 @@ def test_salient_gradients_keep_what_reaches_the_threshold_and_never_nothing(sce
     assert int(((gx != 0) | (gy != 0)).sum()) > 0
 
 
+@pytest.mark.parametrize("weakest", range(4))
+def test_start_threshold_is_reached_by_edges_of_each_orientation(weakest):
+    slopes = np.radians([-67.5, -22.5, 22.5, 67.5])
+    strengths = np.full(4, 0.02)
+    strengths[weakest] = 0.01
+    row, column = np.mgrid[:40, :40]
+    planes = [
+        strength * (np.cos(slope) * column + np.sin(slope) * row)
+        for slope, strength in zip(slopes, strengths, strict=True)
+    ]
+    photo = np.block([planes[:2], planes[2:]])
+    # 400 pixels: more than the borders between the planes have, fewer than a plane
+    threshold = latent.start_threshold(tensor(photo)[None], size=20)
+    assert threshold.numpy() == pytest.approx([0.01**2], rel=1e-3)
+
+
 def test_couplings_grow_from_the_gradient_weight_to_their_end():
     steps = list(latent.Coupling(start=16.0, end=100.0, growth=1.5).steps(0.2))
     assert steps == pytest.approx([3.2 * 1.5**i for i in range(9)])

@@ -11,7 +11,7 @@ import imagecodecs
 import numpy as np
 import pytest
 import tifffile
-from PIL import Image
+from PIL import Image, ImageOps
 
 from motdiff.files.decoding import decode
 
@@ -289,3 +289,20 @@ def test_samples_of_reversed_bits_are_read():
     fill_order = struct.pack("<HHII", 266, 3, 1, 2)
     data = tiff(reversed_bits).replace(unit, fill_order)
     np.testing.assert_array_equal(decode(data, "photo.tif")[0], SCENE[:, :, 0])
+
+
+def test_the_first_of_several_pages_is_read_and_the_others_are_mentioned():
+    pages = np.moveaxis(SCENE[:, :, :3], 2, 0)
+    image, warnings = decode(tiff(pages, photometric="minisblack"), "stack.tif")
+    np.testing.assert_array_equal(image, pages[0])
+    assert len(warnings) == 1
+    assert warnings[0].startswith("stack.tif: holds 3 pages, the first was read")
+    assert decode(tiff(pages[0]), "photo.tif")[1] == ()
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_a_photo_is_turned_as_pillow_turns_it(orientation):
+    data = tiff(SCENE[:, :, :3], extratags=[(274, "H", 1, orientation, True)])
+    upright = np.asarray(ImageOps.exif_transpose(Image.open(BytesIO(data))))
+    assert upright.shape == ((37, 53, 3) if orientation < 5 else (53, 37, 3))
+    np.testing.assert_array_equal(decode(data, "photo.tif")[0], upright)

@@ -16,7 +16,7 @@ import tifffile
 
 from motdiff.files.decoding import decode
 from motdiff.files.photo_files import photo_bytes
-from motdiff.files.tiff_files import photo_page
+from motdiff.files.tiff_files import photo_page, refusal
 
 PHOTO = np.random.default_rng(0).integers(0, 65536, (40, 56), dtype=np.uint16)
 SMALL = (PHOTO[::2, ::2] >> 8).astype(np.uint8)
@@ -150,3 +150,28 @@ def test_the_library_is_loaded_for_tiff_files_alone_and_prints_nothing(tmp_path,
         [sys.executable, "-c", PROGRAM, str(path)], capture_output=True, text=True, check=True
     )
     assert (done.stdout.strip(), done.stderr) == (loaded, "")
+
+
+@pytest.mark.parametrize(
+    ("extra", "line"),
+    [
+        (["unassalpha"], ""),
+        (["unspecified"], "has 2 channels of no colour, save one of them, or three as RGB"),
+        (
+            ["unspecified", "unassalpha"],
+            "has 2 channels of no colour, save one of them, or three as RGB",
+        ),
+    ],
+)
+def test_grey_may_have_transparency_and_no_other_channel(extra, line):
+    stream = BytesIO()
+    tifffile.imwrite(
+        stream,
+        np.stack([SMALL] * (1 + len(extra)), axis=-1),
+        photometric="minisblack",
+        planarconfig="contig",
+        extrasamples=extra,
+    )
+    page = tifffile.TiffFile(BytesIO(stream.getvalue())).pages[0]
+    assert page.samplesperpixel == 1 + len(extra)
+    assert refusal(page) == line

@@ -9,7 +9,13 @@ from scipy import signal
 from motdiff.blind_search.coarse_to_fine import fine_latent
 from motdiff.blind_search.grids import fast_size, mirrored, periodic_extension
 from motdiff.metrics import mnc
-from motdiff.network.correction import MAPS, CorrectionNetwork, corrected, correction_maps
+from motdiff.network.correction import (
+    MAPS,
+    CorrectionNetwork,
+    _wiener,
+    corrected,
+    correction_maps,
+)
 from motdiff.network.physics_maps import autocorrelation, spectral_maps
 from motdiff.simulate import blur_valid
 
@@ -99,6 +105,19 @@ def test_the_misfit_shows_where_light_is_missing():
 def test_without_noise_the_least_squares_kernels_of_the_true_one_are_true(ridge):
     _, maps = maps_of([SHARP], HOOK, HOOK)
     assert mnc(maps[0, ridge].clamp(min=0).numpy(), HOOK) > 0.9
+
+
+@pytest.mark.parametrize(("sigma", "penalty"), [(0.0, 3e-4), (0.05, 0.2503)])
+def test_restored_waves_are_fainter_by_the_penalty_on_their_gradients(sigma, penalty):
+    waves = 7
+    phase = 2 * np.pi * waves * np.arange(96) / 96
+    photo = torch.from_numpy(np.tile(np.cos(phase), (64, 1))).float()
+    point = torch.from_numpy(kernel_of((0, 0)))[None].float()
+    restored = _wiener(photo[None], point, sigma)
+    gradient_power = 4 * np.sin(np.pi * waves / 96) ** 2  # of neighbours' differences
+    torch.testing.assert_close(
+        restored[0], photo / (1 + penalty * gradient_power), rtol=1e-4, atol=1e-5
+    )
 
 
 def test_the_maps_of_a_transposed_photo_are_transposed():

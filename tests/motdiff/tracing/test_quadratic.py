@@ -6,7 +6,12 @@ from lab.evaluation.metrics import ordered_distance_px
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, quadratic, random_straight
 from motdiff.tracing.path import trace_psf_to_trajectory
-from motdiff.tracing.quadratic import QuadraticPath, quadratic_of_psf, simplest_trajectory
+from motdiff.tracing.quadratic import (
+    QuadraticPath,
+    _overlap,
+    quadratic_of_psf,
+    simplest_trajectory,
+)
 from motdiff.trajectory import Trajectory
 
 
@@ -53,6 +58,23 @@ def test_blotches_do_not_lengthen_a_plain_motion(seed):
     assert found.length_px == pytest.approx(truth.length_px, rel=0.2)
     assert ordered_distance_px(centred(found), centred(truth)) < 1.5
     assert found.direction == "unknown"
+
+
+def test_the_overlap_of_points_falls_along_its_gradient():
+    rng = np.random.default_rng(5)
+    points = rng.normal(size=(4, 2))
+    targets = rng.normal(size=(6, 2))
+    weight = rng.dirichlet(np.ones(6))
+    mean, gradient = _overlap(points, targets, weight, 2.5)
+    distance2 = np.square(points[:, None] - targets).sum(axis=2)
+    assert mean == pytest.approx((np.exp(-distance2 / 2.5) @ weight).mean())
+    for index in np.ndindex(points.shape):
+        moved = np.zeros_like(points)
+        moved[index] = 1e-5
+        ahead, behind = (
+            _overlap(points + step, targets, weight, 2.5)[0] for step in (moved, -moved)
+        )
+        assert gradient[index] == pytest.approx((ahead - behind) / 2e-5, rel=1e-6)
 
 
 def test_a_tangle_is_traced_as_before():

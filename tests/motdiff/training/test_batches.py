@@ -11,6 +11,7 @@ from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.blind_search.grids import mirrored
 from motdiff.network.physics_maps import display_photo, physics_maps, quick_kernels
 from motdiff.network.sampling import psfs_of_maps
+from motdiff.training import batches
 from motdiff.training import samples as samples_module
 from motdiff.training.batches import Batch, LiveSource, PreparedSource, seed_of
 from motdiff.training.motion_bank import MotionMix, build_bank
@@ -129,6 +130,18 @@ def test_prepared_batches_follow_from_seed_step_and_rank(prepared):
 
     assert same(batch(), batch())
     assert not any(same(batch(), other) for other in (batch(1), batch(rank=1), batch(seed=4)))
+
+
+def test_orders_and_turns_have_seeds_of_their_own(prepared, monkeypatch):
+    """Seven samples: epochs begin at steps 0, 3.5 and 7."""
+    drawn = set()
+    monkeypatch.setattr(batches, "seed_of", lambda *numbers: drawn.add(numbers) or 1)
+    source = shuffled(prepared)
+    for step in range(10):
+        source.batch(step, 2)
+    steps = {numbers for numbers in drawn if numbers[1] >= 0}
+    assert len(steps) == 10
+    assert len(drawn - steps) == 3
 
 
 def test_samples_are_turned_all_eight_ways(prepared):

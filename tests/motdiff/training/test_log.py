@@ -134,3 +134,8 @@ def test_a_resumed_log_holds_nothing_that_will_be_done_again(tmp_path):
     assert not RunLog(tmp_path, steps=1000).resume(0, scheduled=False)
     assert read_log(tmp_path / "log.csv") == []
     assert not RunLog(tmp_path / "none", steps=1000).resume(0, scheduled=False)
+
+
+def test_the_line_says_the_minutes_done_and_left(tmp_path, capsys):
+    steps(RunLog(tmp_path, steps=250), range(101), seconds_per_step=3.0)
+    assert "5 min done, 8 left" in capsys.readouterr().err.splitlines()[-1]

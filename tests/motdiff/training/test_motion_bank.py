@@ -114,6 +114,16 @@ def test_workers_change_nothing(monkeypatch):
     assert same(alone, build_bank(ALL_KINDS, count=11, seed=4, workers=2))
 
 
+def test_one_worker_starts_no_process(monkeypatch):
+    def refused(*_arguments, **_options):
+        raise RuntimeError("a process was started")
+
+    monkeypatch.setattr(motion_bank, "ProcessPoolExecutor", refused)
+    assert len(build_bank(ALL_KINDS, count=2, seed=4)) == 2
+    with pytest.raises(RuntimeError, match="a process was started"):
+        build_bank(ALL_KINDS, count=2, seed=4, workers=2)
+
+
 def test_a_bank_moves_as_a_whole():
     bank = build_bank(NOTHING, count=2, seed=0)
     moved = bank.to("meta")

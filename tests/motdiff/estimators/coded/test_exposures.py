@@ -9,6 +9,7 @@ from motdiff.estimators.coded import exposures
 from motdiff.estimators.coded.exposures import Exposures, exposures_of, kernels_of_one_scene
 from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.metrics import mnc_subpixel
+from motdiff.progress import Progress
 from motdiff.psf_frame import in_frame
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
@@ -118,3 +119,20 @@ def test_the_true_kernels_leave_about_the_noise(blocks, coded_psf):
     assert swapped > 30 * true
     # whatever the photos' unit
     assert exposures._cross_misfit(3 * crops, np.stack(psfs), 3 * sigmas) == pytest.approx(true)
+
+
+def test_all_searches_together_take_the_planned_share(monkeypatch, coded_psf, blocks):
+    photos, psfs = blocks(coded_psf)
+
+    def searched(_crops, _start, *, on_progress, **_options):
+        on_progress(0.5)
+        on_progress(1.0)
+        return np.stack([in_frame(psf, 64) for psf in psfs])
+
+    monkeypatch.setattr(exposures, "searched_kernels", searched)
+    shares = []
+    progress = Progress(shares.append)
+    progress.expect(40.0)
+    kernels_of_one_scene(photos, progress=progress, cost=10.0)
+    assert len(shares) == 2 * len(exposures.STARTS)
+    assert shares[-1] == pytest.approx(0.25)

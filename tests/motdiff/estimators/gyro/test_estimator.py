@@ -6,6 +6,7 @@ import re
 import numpy as np
 import pytest
 
+from motdiff.estimators.gyro import Gyro
 from motdiff.estimators.gyro.estimator import GyroEstimator
 from motdiff.gyro import GyroTrace, trajectory_from_gyro
 from motdiff.metrics import mnc_subpixel, path_distance_px
@@ -144,3 +145,10 @@ def test_a_path_too_long_to_be_handled_is_refused() -> None:
         ValueError, match=r"the path is 5000 px long, at most 4096 px can be handled"
     ):
         estimator.estimate(np.zeros((64, 8000)))
+
+
+def test_a_unit_is_for_files_alone() -> None:
+    options = {"gyro": shake(0), "focal_px": FOCAL_PX, "start_s": 0.4, "exposure_s": 0.1}
+    assert isinstance(Gyro(**options).make(), GyroEstimator)
+    with pytest.raises(ValueError, match="rate_unit: is for a file"):
+        Gyro(**options, rate_unit="deg").make()

@@ -14,7 +14,7 @@ from motdiff.blind_search.coarse_to_fine import Start
 from motdiff.blind_search.grids import mirrored
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.kernel_score import Judge
-from motdiff.estimators.motdiff import drawing
+from motdiff.estimators.motdiff import MotDiff, drawing
 from motdiff.estimators.motdiff import estimator as module
 from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
 from motdiff.estimators.motdiff.estimator import (
@@ -37,7 +37,7 @@ from motdiff.training.config import DataConfig, TrainingConfig
 from motdiff.training.trainer import Trainer
 from motdiff.training.weight_files import export_weights
 from motdiff.trajectory import Trajectory
-from motdiff.weights import load_correction
+from motdiff.weights import MOTDIFF_FILES, load_correction
 
 STRAIGHT = Trajectory.straight(15.0, angle_rad=0.5)
 TINY = {
@@ -971,3 +971,11 @@ def test_what_searches_agree_on_at_half_the_size_is_the_motion_of_the_photo(blur
 def test_a_motion_that_outgrows_the_frame_is_left_to_the_photo_at_half_its_size():
     long = Trajectory.straight(84.0, angle_rad=0.3)
     assert agreed_at_half(camera_photo(long), [motion.psf(63) for motion in LOST]) is None
+
+
+def test_weights_of_ones_own_take_the_place_of_the_shipped_network(tmp_path):
+    shipped = MotDiff().weight_files()
+    assert shipped == MOTDIFF_FILES
+    assert len(shipped) == 2
+    mine = tmp_path / "mine.safetensors"
+    assert MotDiff(weights=mine).weight_files() == (mine, shipped[1])

@@ -168,7 +168,7 @@ with Controller.open(sys.argv[1]) as controller:
 
 @contextlib.contextmanager
 def killed_host(uno, *, chip_ns, then):
-    root = str(Path(__file__).parents[3])
+    root = str(Path(__file__).parents[4])
     command = [sys.executable, "-c", HOST, uno.port, str(chip_ns), then]
     with subprocess.Popen(
         command, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": root}

@@ -17,7 +17,7 @@ from hw.device import DeviceProfile
 from hw.export import EXPORTERS
 from hw.program import Program
 
-SOURCE = Path(__file__).parents[3] / "hw" / "firmware" / "rp2040" / "pio_shutter.py"
+SOURCE = Path(__file__).parents[4] / "hw" / "firmware" / "rp2040" / "pio_shutter.py"
 SHUTTER = 15
 TRIGGER = 14
 TAIL = 10_000

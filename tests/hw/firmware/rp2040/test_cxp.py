@@ -34,7 +34,7 @@ from emulators.conformance import (
 from emulators.tools import require_node_module
 from emulators.wasm.interpreter import MicroPython
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 FIRMWARE = ROOT / "hw" / "firmware" / "rp2040"
 GREETING = bytes([HELLO, 0xCA])
 WASM = ROOT / "tests" / "emulators" / "wasm"

@@ -23,7 +23,7 @@ from hw.errors import DeviceError
 from hw.port import PortError
 from hw.program import Program
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 FIRMWARE = ROOT / "hw" / "firmware" / "rp2040"
 RASKAR = "1010000111000001010000110011110111010111001001100111"
 

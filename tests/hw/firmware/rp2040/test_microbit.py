@@ -19,7 +19,7 @@ from hw.drivers.driver import Trust
 from hw.errors import WrongStateError
 from hw.program import Program
 
-ROOT = Path(__file__).parents[3]
+ROOT = Path(__file__).parents[4]
 FIRMWARE = ROOT / "hw" / "firmware" / "rp2040"
 BENCH = ROOT / "tests" / "emulators" / "microbit" / "bench.py"
 RASKAR = "1010000111000001010000110011110111010111001001100111"
