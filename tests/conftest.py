@@ -3,6 +3,7 @@
 import functools
 import json
 import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -86,6 +87,23 @@ def commands_built_once():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(typer.main, "get_command", functools.cache(typer.main.get_command))
         yield
+
+
+@pytest.fixture
+def short_search(monkeypatch):
+    """Search photos through codes once, from half of the starts, instead of two to four times.
+
+    For tests that need a motion and not the surest one: tests/motdiff/estimators/coded and
+    notebooks/order_in_time.py have whole searches.
+    """
+    from motdiff.estimators.coded import scene_kernels, search  # which import torch
+
+    monkeypatch.setattr(scene_kernels, "STARTS", scene_kernels.STARTS[:2])
+    once = {"_SEARCHES_AT_ONCE": 1, "_MOST_SEARCHES": 1}
+    starts = {"_DRAWS": 32, "_LONE_WALKS": 16, "_LONE_SWEEPS": 32}
+    evolution = replace(search._EVOLUTION, rounds=6, patience=2)
+    for name, value in {**once, **starts, "_EVOLUTION": evolution}.items():
+        monkeypatch.setattr(search, name, value)
 
 
 @pytest.fixture

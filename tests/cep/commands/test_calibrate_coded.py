@@ -32,7 +32,7 @@ def photos(tmp_path, monkeypatch):
 
 
 @pytest.mark.slow(reason="a blind search, and two with a fit")
-def test_the_code_of_the_next_photo_is_chosen_and_tells_the_order(cep, photos):
+def test_the_code_of_the_next_photo_is_chosen_and_tells_the_order(cep, photos, short_search):
     first = cep.succeeds(
         "calibrate", "open.png", "--next", "next.json", "--chips", "16", "-o", "motion"
     )

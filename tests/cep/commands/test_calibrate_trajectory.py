@@ -23,7 +23,7 @@ def photos(tmp_path, monkeypatch):
     """Two photos of a scene along a bent path, through two codes, and the path."""
     monkeypatch.chdir(tmp_path)
     rng = np.random.default_rng(3)
-    scene = 0.1 + 0.8 * np.kron(rng.random((30, 30)), np.ones((8, 8)))
+    scene = 0.1 + 0.8 * np.kron(rng.random((22, 22)), np.ones((8, 8)))
     for name, code in zip(("one.png", "two.png"), CODES, strict=True):
         write_image(name, capture(scene, PATH, ShutterCode(code), rng=rng), bits=16)
     write_motion(

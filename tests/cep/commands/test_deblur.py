@@ -112,7 +112,7 @@ def test_two_photos_are_restored_together(cep, pair):
 
 
 @pytest.mark.slow(reason="searches the motion in two photos")
-def test_the_motion_of_two_photos_is_found_in_them(cep, pair):
+def test_the_motion_of_two_photos_is_found_in_them(cep, pair, short_search):
     cep("deblur", *pair, "--code", CODE, "--code", COMPLEMENT)
     assert cep.code == 0
     assert cep.out.startswith("left_sharp.png: restored from 2 photos together, along the motion")

@@ -132,7 +132,7 @@ def test_several_photos_say_how_repeatable_they_are(cep, twin, tmp_path):
 
 @pytest.mark.slow(reason="the motion is searched in one photo, then in two")
 def test_a_calibration_takes_photos_through_codes_that_it_chooses(
-    cep, twin, workplace, monkeypatch
+    cep, twin, workplace, monkeypatch, short_search
 ):
     """Two of the five it may take: that it goes on until the order is sure has tests of its
     own."""
@@ -247,7 +247,7 @@ def test_what_the_photos_of_a_set_cannot_show_is_said(cep, twin, tmp_path, monke
 
 
 @pytest.mark.slow(reason="40 CPU-s: the motion is searched in both photos and its order in time")
-def test_a_calibration_set_is_taken_and_calibrated(cep, twin, tmp_path):
+def test_a_calibration_set_is_taken_and_calibrated(cep, twin, tmp_path, short_search):
     write_set(tmp_path / "set")
     picture = resources.files("cep.photographs") / "pictures" / "raccoon.jpg"
     twin = f"twin:scene={picture}"  # motion is not searched well in blocks

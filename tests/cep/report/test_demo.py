@@ -112,7 +112,7 @@ def test_where_the_device_leaves_no_code_the_other_ways_are_shown(plain, limits,
 
 
 @pytest.mark.slow  # a calibration of four photos
-def test_a_set_of_photos_tells_the_order(tmp_path):
+def test_a_set_of_photos_tells_the_order(short_search):
     """The bundled motion is found from photos through codes, to a fraction of a pixel at equal
     times."""
     scene = small_scene(CODED)

@@ -222,7 +222,7 @@ def test_photos_without_a_common_scene_do_not_run_away(seed):
 
 
 @pytest.mark.slow(reason="searches the motion of two photos")
-def test_an_unknown_motion_is_estimated_from_the_pair():
+def test_an_unknown_motion_is_estimated_from_the_pair(short_search):
     path = hook()
     scene = blocks(240)
     photos = photos_of(scene, path, PAIR)
