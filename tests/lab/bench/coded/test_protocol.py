@@ -34,7 +34,7 @@ def test_the_papers_protocol_is_the_papers():
     assert find_method(paper.restoration)[1] is inverse_filter
     assert paper.calibration_camera == paper.camera(None)
     assert paper.camera(None).noise_variance(0.5) == pytest.approx((1 / 255) ** 2 / 12, rel=1e-3)
-    assert paper.quick == replace(paper, photos=2, motions=2, steps=paper.quick_steps)
+    assert paper.quick == replace(paper, photos=2, motions=1, steps=paper.quick_steps)
     ours = coded_protocol("ours")
     assert (ours.quick.photons, paper.quick.photons) == ((10000.0,), ())
 
