@@ -91,19 +91,23 @@ def commands_built_once():
 
 @pytest.fixture
 def short_search(monkeypatch):
-    """Search photos through codes once, from half of the starts, instead of two to four times.
+    """Search photos and trails through codes once, from fewer starts, instead of up to five times.
 
     For tests that need a motion and not the surest one: tests/motdiff/estimators/coded and
     notebooks/order_in_time.py have whole searches.
     """
-    from motdiff.estimators.coded import scene_kernels, search  # which import torch
+    from motdiff.estimators.coded import scene_kernels, search, trail_search  # import torch
 
     monkeypatch.setattr(scene_kernels, "STARTS", scene_kernels.STARTS[:2])
     once = {"_SEARCHES_AT_ONCE": 1, "_MOST_SEARCHES": 1}
     starts = {"_DRAWS": 32, "_LONE_WALKS": 16, "_LONE_SWEEPS": 32}
-    evolution = replace(search._EVOLUTION, rounds=6, patience=2)
-    for name, value in {**once, **starts, "_EVOLUTION": evolution}.items():
+    for name, value in {**once, **starts}.items():
         monkeypatch.setattr(search, name, value)
+    for name, value in {"_SEARCHES": 1, "_STARTS": 80}.items():
+        monkeypatch.setattr(trail_search, name, value)
+    for module in (search, trail_search):
+        evolution = replace(module._EVOLUTION, rounds=6, patience=2)
+        monkeypatch.setattr(module, "_EVOLUTION", evolution)
 
 
 @pytest.fixture

@@ -69,7 +69,6 @@ def test_refine_writes_a_trajectory_that_says_how_sure_it_is(cep, photos):
     assert timed_distance_px(stored.trajectory, PATH) < 0.4 < timed_distance_px(rough, PATH)
 
 
-@pytest.mark.slow(reason="a blind search")
 def test_deblur_without_a_trajectory_says_first_what_was_restored(cep, photos):
     cep("deblur", "one.png", "--code", CODES[0])
     assert cep.code == 0
