@@ -246,7 +246,7 @@ def test_what_the_photos_of_a_set_cannot_show_is_said(cep, twin, tmp_path, monke
     assert "cep optimize" not in cep.out
 
 
-@pytest.mark.slow(reason="40 CPU-s: the motion is searched in both photos and its order in time")
+@pytest.mark.slow(reason="the motion is searched in both photos, and its order in time")
 def test_a_calibration_set_is_taken_and_calibrated(cep, twin, tmp_path, short_search):
     write_set(tmp_path / "set")
     picture = resources.files("cep.photographs") / "pictures" / "raccoon.jpg"
