@@ -96,16 +96,16 @@ def short_search(monkeypatch):
     For tests that need a motion and not the surest one: tests/motdiff/estimators/coded and
     notebooks/order_in_time.py have whole searches.
     """
-    from motdiff.estimators.coded import scene_kernels, search, trail_search  # import torch
+    from motdiff.estimators.coded import estimator, exposures, trail_search  # import torch
 
-    monkeypatch.setattr(scene_kernels, "STARTS", scene_kernels.STARTS[:2])
+    monkeypatch.setattr(exposures, "STARTS", exposures.STARTS[:2])
     once = {"_SEARCHES_AT_ONCE": 1, "_MOST_SEARCHES": 1}
     starts = {"_DRAWS": 32, "_LONE_WALKS": 16, "_LONE_SWEEPS": 32}
     for name, value in {**once, **starts}.items():
-        monkeypatch.setattr(search, name, value)
+        monkeypatch.setattr(estimator, name, value)
     for name, value in {"_SEARCHES": 1, "_STARTS": 80}.items():
         monkeypatch.setattr(trail_search, name, value)
-    for module in (search, trail_search):
+    for module in (estimator, trail_search):
         evolution = replace(module._EVOLUTION, rounds=6, patience=2)
         monkeypatch.setattr(module, "_EVOLUTION", evolution)
 
