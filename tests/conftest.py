@@ -96,7 +96,7 @@ def short_search(monkeypatch):
     For tests that need a motion and not the surest one: tests/motdiff/estimators/coded and
     notebooks/order_in_time.py have whole searches.
     """
-    from motdiff.estimators.coded import estimator, exposures, trail_search  # import torch
+    from motdiff.estimators.coded import estimator, exposures, trail_estimator  # import torch
 
     monkeypatch.setattr(exposures, "STARTS", exposures.STARTS[:2])
     once = {"_SEARCHES_AT_ONCE": 1, "_MOST_SEARCHES": 1}
@@ -104,8 +104,8 @@ def short_search(monkeypatch):
     for name, value in {**once, **starts}.items():
         monkeypatch.setattr(estimator, name, value)
     for name, value in {"_SEARCHES": 1, "_STARTS": 80}.items():
-        monkeypatch.setattr(trail_search, name, value)
-    for module in (estimator, trail_search):
+        monkeypatch.setattr(trail_estimator, name, value)
+    for module in (estimator, trail_estimator):
         evolution = replace(module._EVOLUTION, rounds=6, patience=2)
         monkeypatch.setattr(module, "_EVOLUTION", evolution)
 
