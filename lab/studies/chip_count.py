@@ -1,6 +1,7 @@
 """How many chips: what the code of ``cep optimize`` restores with 16 to 104 of them.
 
     python -m lab.studies.chip_count PHOTOS [--count 8] [--motions 3] [--seed 0]
+        [--photons 3000] [--read-noise 25]
 
 PHOTOS is a folder of sharp photographs that chose nothing: the verdict's own are bundled. Straight
 motions and walks of several lengths, in dim and bright light, known exactly or to 0.3 px. Prints
@@ -27,7 +28,6 @@ COUNTS = (16, 32, 52, 104)
 SIDE_PX = 420  # a photo of the longest motion and its borders
 LENGTHS_PX = (12.0, 100.0)  # shortest and longest
 ERRORS_PX = (0.0, 0.3)
-READ_NOISE_E = 10.0
 PHOTONS = (3_000.0, 30_000.0)  # least and most, photo-electrons at full scale
 
 
@@ -51,13 +51,16 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=8, help="photographs")
     parser.add_argument("--motions", type=int, default=3, help="of each kind")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--photons", type=float, help="at full scale; drawn when omitted")
+    parser.add_argument("--read-noise", type=float, default=10.0, help="electrons")
     options = parser.parse_args()
     scenes = load_scenes(options.photos, side_px=SIDE_PX, count=options.count)
     print("| motion | error, px | photo-electrons | " + " | ".join(map(str, COUNTS)) + " |")
     print("|---|---:|---:|" + "---:|" * len(COUNTS))
     losses_db: list[list[float]] = []
-    for name, path, error_px, photons in cases(options.motions, options.seed):
-        camera = cep.Camera(photons_full_scale=photons, read_noise_e=READ_NOISE_E)
+    for name, path, error_px, drawn_photons in cases(options.motions, options.seed):
+        photons = options.photons or drawn_photons
+        camera = cep.Camera(photons_full_scale=photons, read_noise_e=options.read_noise)
         levels_db = []
         for chips in (count for count in COUNTS if count <= resolved_chips(path)):
             problem = cep.SearchProblem.along(
