@@ -132,7 +132,7 @@ def optimize(options: OptimizeOptions) -> None:
     with progress("counting codes" if options.method == "exact" else "searching") as tick:
         from cep.search.code_search import SearchOptions
         from cep.search.optimize import checked_motion
-        from cep.search.optimize import optimize as search_code
+        from cep.search.optimize import optimize as optimize_code
         from motdiff.files.outputs import claim
 
         stored = options.load_motion()
@@ -155,7 +155,7 @@ def optimize(options: OptimizeOptions) -> None:
             inputs=filter(None, [options.trajectory, options.scene_file]),
         )
         with saved_on_interrupt(outputs) as keep:
-            best = search_code(
+            best = optimize_code(
                 problem,
                 **how,
                 along=stored.trajectory,

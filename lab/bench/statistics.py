@@ -11,9 +11,8 @@ from scipy import stats
 
 from motdiff.types import FloatArray
 
-_FEWEST_CLUSTERS = (
-    3  # two show their spread by one difference: Student's t then reaches 13 standard errors
-)
+# two show their spread by one difference: Student's t then reaches 13 standard errors
+_FEWEST_CLUSTERS = 3
 _RESAMPLES = 10_000
 _AT_ONCE = 2_000_000  # numbers drawn at a time: 16 MB
 

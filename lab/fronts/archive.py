@@ -84,9 +84,8 @@ class Judge:
             FrontPoint(
                 ShutterCode(code),
                 unit * 10 ** (low / 20),
-                (
-                    -quiet if np.isfinite(low) else np.inf
-                ),  # samples may well miss a zero, the mean over all does not
+                # samples may well miss a zero, the mean over all does not
+                -quiet if np.isfinite(low) else np.inf,
                 int(code.sum()),
                 -mse,
             )

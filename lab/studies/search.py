@@ -4,12 +4,14 @@ one run.
     python -m lab.studies.search [--only frontier|jeon|exact|speed|direction|long] [--seconds 60]
     [--seed 0]
 
-frontier   52 chips, 26 open: smallest |P| and noise of deconvolution (DC-normalised), and one code
-with both jeon       each length and light of Jeon's table: one code that is better on both figures
-exact      proven optima, and the codes counted per second speed      moves per second and core of
-the annealer on one curved path, against plain numpy direction  curved motion of unknown direction:
-noise gain of the worse direction, for no code, one-way and robust codes long       128 to 1024
-chips, and 52 chips under the limits of a device
+- frontier: 52 chips, 26 open; smallest |P| and noise of deconvolution (DC-normalised), and one
+  code with both.
+- jeon: each length and light of Jeon's table; one code that is better on both figures.
+- exact: proven optima, and the codes counted per second.
+- speed: moves per second and core of the annealer on one curved path, against plain numpy.
+- direction: curved motion of unknown direction; noise gain of the worse direction, for no code,
+  one-way and robust codes.
+- long: 128 to 1024 chips, and 52 chips under the limits of a device.
 """
 
 from __future__ import annotations

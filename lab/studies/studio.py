@@ -1,5 +1,5 @@
-"""The studio, measured in a headless Chromium: paint, changes until shown, memory, a large photo,
-attacks requests.
+"""The studio in a headless Chromium: time to paint and to show a change, memory, a large photo and
+requests that it must refuse.
 
 Times are from the hand's event until strip, MTFs, figures and the simulated photo of this state
 are on the page. The memory is the proportional share (PSS) of the server and all its processes:

@@ -30,9 +30,8 @@ class Faults:
     noise: float = 0.0  # chance per byte, each way, of a drop, a flip or a duplicate
     seed: int = 0
     silent: bool = False
-    silent_after: int | None = (
-        None  # op after which (done, unanswered) nothing is ever answered again
-    )
+    # op after which (done, unanswered) nothing is ever answered again
+    silent_after: int | None = None
     babble: bytes = b""  # sent instead of any reply
     boot_noise: bytes = b""  # sent at once at boot
     deaf_s: float = 0.0  # bytes that come earlier after the first one vanish (bootloader)

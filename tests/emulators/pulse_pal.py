@@ -53,9 +53,8 @@ class Faults:
     boot_noise: bytes = b""
     deaf_s: float = 0.0  # bytes that come earlier after the first one vanish
     late_s: dict[int, float] = field(default_factory=dict)  # op -> how much longer it takes
-    silent_after: int | None = (
-        None  # op after which (done, unanswered) nothing is ever answered again
-    )
+    # op after which (done, unanswered) nothing is ever answered again
+    silent_after: int | None = None
     unplug_on: int | None = None  # op whose bytes pull the cable
     refuse: int | None = None  # parameter that is answered by 0
     twice: int | None = None  # op that is answered twice
@@ -226,9 +225,8 @@ class PulsePal:
         if op in (TRAIN_1, TRAIN_2):
             count = int.from_bytes(data[:4], "little")
             if count > CELLS - 1:
-                self.overrun = self.mute = (
-                    True  # other memory is overwritten: nothing is certain any more
-                )
+                # other memory is overwritten: nothing is certain any more
+                self.overrun = self.mute = True
                 return b""
             self.counts[op] = count
             self.times[op][:count] = struct.unpack_from(f"<{count}I", data, 4)

@@ -33,9 +33,8 @@ def run() -> None:
         _serve(player, watchdog, registers)
     finally:
         shutter.close()
-        registers[_WATCHDOG_STOP] = (
-            _WATCHDOG_ENABLE  # there is no method for it, and the console must live on
-        )
+        # there is no method for it, and the console must live on
+        registers[_WATCHDOG_STOP] = _WATCHDOG_ENABLE
         micropython.kbd_intr(3)
 
 

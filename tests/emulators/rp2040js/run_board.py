@@ -18,9 +18,8 @@ from types import SimpleNamespace
 
 from emulators.rp2040js.board import Chip, modules
 
-PASS_CYCLES = (
-    12_500  # one look at the clock: 0.1 ms, as long as the interpreter needs for its loop
-)
+# one look at the clock: 0.1 ms, as long as the interpreter needs for its loop
+PASS_CYCLES = 12_500
 
 
 class Console:

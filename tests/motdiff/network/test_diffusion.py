@@ -17,9 +17,8 @@ from motdiff.network.diffusion import (
 )
 
 METHODS = ["ddpm", "ddim", "dpm++2m"]
-LIMIT = (
-    4.5  # standard errors: a right sampler fails with probability 7e-6, and the seeds are fixed
-)
+# standard errors: a right sampler fails with probability 7e-6, and the seeds are fixed
+LIMIT = 4.5
 
 
 def seeded(seed=0):
