@@ -413,8 +413,8 @@ class Finder:
     def __init__(self, progress=None):
         pass
 
-    def estimate(self, photo):
-        self.photos.append(photo)
+    def estimate_from(self, photos):
+        self.photos += photos
         dot = np.zeros((64, 64))
         dot[32, 32] = 1.0
         return MotionEstimate("pmp", (BENT,), (1.0,), dot, 0.4)
