@@ -177,7 +177,10 @@ def best_windows(grey: FloatArray, *, count: int) -> list[tuple[slice, slice]]:
 
 
 def uniformity(psfs: Sequence[ArrayLike]) -> float:
-    """Mean mutual sub-pixel MNC of PSFs (S, S) from places of a photo; 1 for a single one."""
+    """Mean mutual sub-pixel MNC of PSFs (S, S) from places of a photo; 1 for a single one.
+
+    ValueError without any.
+    """
     if not psfs:
         raise ValueError("psfs: needs at least one")
     return float(np.mean([mnc_subpixel(a, b) for a, b in combinations(psfs, 2)] or [1.0]))

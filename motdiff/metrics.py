@@ -35,8 +35,8 @@ def mnc(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
 def mnc_subpixel(psf_a: ArrayLike, psf_b: ArrayLike) -> float:
     """MNC over shifts to 0.05 px, by band-limited interpolation around the integer maximum.
 
-    Integer shifts punish a perfect PSF that sits half a pixel off (0.80 on Levin's); this does
-    not.
+    The PSFs are (H, W). Integer shifts punish a perfect PSF that sits half a pixel off (0.80 on
+    Levin's); this does not.
     """
     return _subpixel_peak(_correlation(psf_a, psf_b))[0]
 

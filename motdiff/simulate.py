@@ -183,7 +183,7 @@ def to_display(linear: ArrayLike, *, gamma: float | None = None) -> FloatArray:
 
 
 def to_linear(display: ArrayLike, *, gamma: float | None = None) -> FloatArray:
-    """Decode display values to linear light: the inverse of :func:`to_display`."""
+    """Decode display values to linear light by a power law, or sRGB where ``gamma`` is None."""
     value = np.asarray(display, dtype=np.float64)
     size = np.abs(value)
     if gamma is not None:

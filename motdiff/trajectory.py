@@ -128,8 +128,8 @@ class Trajectory:
     ) -> Trajectory:
         """Make a trajectory from raw samples: times are rescaled to 0..1 and the path is centred.
 
-        The times may have any unit; they are evenly spaced when omitted. Errors are those of the
-        constructor.
+        ``xy`` (T, 2) is in px. The times ``t`` (T,) may have any unit; they are evenly spaced when
+        omitted. Errors are those of the constructor.
         """
         points = np.asarray(xy, dtype=np.float64)
         times = np.linspace(0, 1, len(points)) if t is None else np.asarray(t, dtype=np.float64)
@@ -240,7 +240,7 @@ class Trajectory:
     ) -> ComplexArray:
         """Exact OTF of each time slice, (slices, ...): they sum to that of the span of the edges.
 
-        The edges are increasing times within 0..1, the frequencies as of :meth:`otf`.
+        The edges (slices + 1,) are increasing times within 0..1, frequencies as of :meth:`otf`.
         """
         fx, fy = np.broadcast_arrays(
             np.asarray(fx_cy_px, np.float64), np.asarray(fy_cy_px, np.float64)
@@ -378,8 +378,9 @@ def thinned_knots(t: FloatArray, xy: FloatArray, tolerance_px: float) -> NDArray
     That takes O(T log T), or O(T) where nothing can be joined, and gives up to a few times as many
     samples as the fewest possible.
 
-    ``tolerance_px`` is the largest distance, at equal times, between the path and the one through
-    the chosen samples, (K,) from 0 to T - 1.
+    The path has times ``t`` (T,) and places ``xy`` (T, 2), px. ``tolerance_px`` is the largest
+    distance, at equal times, between it and the one through the chosen samples, (K,) from 0 to
+    T - 1.
     """
     is_knot = np.ones(t.size, dtype=bool)
     joined = np.ones(t.size - 1, dtype=bool)  # whether each block of intervals is straight

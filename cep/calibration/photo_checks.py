@@ -27,10 +27,6 @@ def check_method_photos(photos: Sequence[ArrayLike], method: Method) -> None:
         :func:`check_photos`.
     """
     codes: tuple[str, ...] | None = getattr(method, "codes", None)
-    if codes is None and len(photos) == 1:
-        check_size(photos[0], least_px=method.smallest_px)
-        check_texture(photos[0])
-        return
     if codes is not None:
         # a stack of three photos would pass for one in colour
         if len(photos) == 1 < len(codes) and np.ndim(photos[0]) >= 3:
@@ -38,7 +34,7 @@ def check_method_photos(photos: Sequence[ArrayLike], method: Method) -> None:
                 "photo: give the photos of several codes as a list or tuple, not as one array"
             )
         check_codes(codes, photos=len(photos))
-    elif not method.is_blind:
+    elif len(photos) > 1 and not method.is_blind:
         raise ValueError(
             f"method: {method.name} takes one photo; several of one motion go with"
             f" {' or '.join(blind_methods())}"
@@ -115,6 +111,4 @@ def check_texture(photo: ArrayLike) -> None:
         shade = "black"
     elif darkest > 1 - _LEAST_CONTRAST:
         shade = "white"
-    raise ValueError(
-        f"the photo is {shade} all over: motion shows only where the scene has texture"
-    )
+    raise ValueError(f"photo: is {shade} all over; motion shows only where the scene has texture")

@@ -143,10 +143,11 @@ def advise(options: AdviseOptions) -> None:
     Example: cep advise --trajectory motion/trajectory.json --device sony-pregius --exposure 0.004
     """
     with progress("comparing") as tick:
+        from cep.files.formatting import duration
         from cep.plots.advice import advice_figure
         from cep.plots.canvas import check_figure_name, save
         from cep.search.advise import advise as compare_exposures
-        from cep.search.chip_count import problem_of_standard_chips
+        from cep.search.chip_count import STANDARD_EXPOSURE_S, problem_of_standard_chips
         from motdiff.files.outputs import claim
 
         output = options.output
@@ -164,6 +165,7 @@ def advise(options: AdviseOptions) -> None:
             chips = codes[0].chips
         # wrong options are named before outputs in the way
         if chips is None:
+            options.load_camera(), options.load_scene()  # else a wrong one is read for each number
             problem = problem_of_standard_chips(lambda count: options.problem(motion, chips=count))
         else:
             problem = options.problem(motion, chips=chips, chip_ns=chip_ns)
@@ -190,7 +192,8 @@ def advise(options: AdviseOptions) -> None:
     ]
     warnings = []
     if options.exposure is None and chip_ns is None:
-        warnings.append("the exposure is taken as 52 ms; --exposure says how long it is")
+        length = duration(STANDARD_EXPOSURE_S)
+        warnings.append(f"the exposure is taken as {length}; --exposure says how long it is")
 
     def draw(staged: Mapping[Path, Path]) -> None:
         if output is not None:

@@ -28,7 +28,8 @@ _LIMITS = "Limits of the shutter"
 SEARCH = "Search"
 
 STANDARD_CHIPS_HELP = (
-    "Number of chips; when omitted 52, or as many as the motion and the shutter allow."
+    "Number of chips; when omitted the most of 52, 32, 16, 8, 4 and 2 that the motion and the"
+    " shutter allow."
 )
 
 

@@ -227,7 +227,6 @@ def _restored(
     from cep.optics.path_limits import check_resolved
     from cep.restoration.choice import looks_linear
     from cep.restoration.restore import restore
-    from motdiff.crops import numbered_photo
 
     code = codes[0] if codes else None
     inputs: dict[str, Any] = {}
@@ -252,8 +251,7 @@ def _restored(
         is_alone = options.is_photo_alone and record is None
         check_photos([photo.pixels], "motdiff" if is_alone else "pmp")
     else:
-        with numbered_photo(1, count=1):
-            check_texture(photo.pixels)
+        check_texture(photo.pixels)
     tick(0.05, "searching the PSF" if is_blind else "restoring")
     restored = restore(
         photo.pixels,

@@ -30,7 +30,7 @@ _MAT_TEXT_BYTES = 116
 
 
 def write_psf(folder: Path | str, psf: ArrayLike, *, stem: str = "psf") -> tuple[Path, Path, Path]:
-    """Write a PSF as ``.npy``, ``.mat`` and, for people, ``.png``, all three or none.
+    """Write a PSF (S, S) as ``.npy``, ``.mat`` and, for people, ``.png``, all three or none.
 
     They are float32, the variable ``psf``, and 8 bits, and are returned in that order. In the
     ``.png`` the largest value is white. The folder exists; the stem is a name without suffix.

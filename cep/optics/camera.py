@@ -237,7 +237,9 @@ class Camera:
         return {"photons_full_scale": self.photons_full_scale, "read_sigma": read_sigma}
 
     def noise_variance(self, signal: ArrayLike, *, integration_s: ArrayLike = 0.0) -> FloatArray:
-        """Variance of pixels of mean ``signal`` (...): shot, read, dark and quantisation noise.
+        """Variance of pixels: shot, read, dark and quantisation noise.
+
+        ``signal`` (...) is their mean in linear light, 1 is full scale.
 
         Dark current is integrated for so many seconds (...), as
         :attr:`cep.optics.code.ShutterCode.integration_ns` says; at 0 it is not counted.
@@ -251,7 +253,7 @@ class Camera:
         return np.asarray(shot + self.noise["read_sigma"] ** 2 + dark + step**2 / 12)
 
     def expose(self, light: ArrayLike, *, rng: np.random.Generator) -> FloatArray:
-        """Record (...) light of an exposure: shot noise, read noise, clipping, rounding.
+        """Record linear light (...), 1 is full scale: shot noise, read noise, clipping, rounding.
 
         The result is linear light ``-black_level``..1, on the camera's code values.
         """

@@ -68,10 +68,33 @@ PHOTO = Scene(exponent=2.16, knee_cy_px=0.25, fall=0.43, level_db=-12.5, spread_
 # python -m lab.studies.named_scenes: docs/decisions/search.md
 SCENES = {
     "photo": PHOTO,
-    # exponent, knee, fall, level, spread and mean, as the fields are
-    "text": Scene(0.40, 0.25, 3.27, -6.4, 1.8, 0.61, name="text"),
-    "texture": Scene(1.49, 0.25, 2.19, -10.1, 1.9, 0.21, name="textures"),
-    "flat-part": Scene(1.93, 0.25, 0.45, -25.4, 12.8, 0.21, name="flat parts of photographs"),
+    "text": Scene(
+        exponent=0.40,
+        knee_cy_px=0.25,
+        fall=3.27,
+        level_db=-6.4,
+        spread_db=1.8,
+        mean=0.61,
+        name="text",
+    ),
+    "texture": Scene(
+        exponent=1.49,
+        knee_cy_px=0.25,
+        fall=2.19,
+        level_db=-10.1,
+        spread_db=1.9,
+        mean=0.21,
+        name="textures",
+    ),
+    "flat-part": Scene(
+        exponent=1.93,
+        knee_cy_px=0.25,
+        fall=0.45,
+        level_db=-25.4,
+        spread_db=12.8,
+        mean=0.21,
+        name="flat parts of photographs",
+    ),
 }
 """Scenes by their names."""
 

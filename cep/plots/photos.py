@@ -83,7 +83,9 @@ def busiest(image: FloatArray, side: int) -> tuple[int, int]:
 
 
 def trajectory_figure(photo: ArrayLike, trajectory: Trajectory) -> Figure:
-    """Draw the path over its photo (linear light), and enlarged beside it, coloured by time."""
+    """Draw the path over its photo, (H, W) or (H, W, 3) in linear light, and enlarged beside it,
+    coloured by time.
+    """
     small = thumbnail(photo, 1600)
     figure = new_figure(10.0, 4.6)
     photo_axes, path_axes = figure.subplots(1, 2, width_ratios=(1.35, 1.0))
@@ -141,7 +143,7 @@ def trajectory_figure(photo: ArrayLike, trajectory: Trajectory) -> Figure:
 
 
 def psf_figure(psfs: Mapping[str, ArrayLike]) -> Figure:
-    """Draw PSFs by their titles, each on its own scale, with the zero displacement marked."""
+    """Draw PSFs (S, S) by their titles, each on its own scale, with its zero displacement."""
     figure = new_figure(3.6 * len(psfs) + 0.2, 3.2)
     reach = max(_reach(psf) for psf in psfs.values()) + 2.5
     for axes, (title, psf) in zip(

@@ -121,6 +121,7 @@ class Audit:
     def to_dict(self) -> dict[str, Any]:
         """Fields for JSON, as ``cep audit --json`` prints them."""
         certificate = self.certificate.to_dict()
+        del certificate["trajectory"]  # the path is the one that was asked for
         return {
             "bits": self.code.bits,
             "chips": self.code.chips,

@@ -378,7 +378,7 @@ class Lines:
     slack: float
 
     def look(self, f: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """H (F,) and its gradient (F, 2) at frequencies (F, 2)."""
+        """H (F,) and its gradient (F, 2) at frequencies (F, 2), one at least."""
         look = self._look_at_lines if self.delta.any() else self._look_at_points
         step = max(1, _CHUNK // len(self.weight))
         chunks = [look(f[lo : lo + step]) for lo in range(0, len(f), step)]

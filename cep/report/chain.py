@@ -161,7 +161,7 @@ def run_chain(
     device : DeviceProfile, optional
         Shutter that must be able to play the code; without it any code can be played.
     chips : int, optional
-        When omitted one for each px of the path, at most 64; with a device as many as pay.
+        When omitted as of :func:`cep.search.chip_count.problem_of_standard_chips`.
     motion : SceneMotion, optional
         By :func:`find_motion` when omitted.
     levels : sequence of float

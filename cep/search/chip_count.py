@@ -13,13 +13,16 @@ STANDARD_CHIPS = 52
 photographs, fewer are worse (``python -m lab.studies.chip_count``)."""
 
 STANDARD_EXPOSURE_S = 0.052
-"""Exposure where neither it nor the number of chips is given: 52 chips of 1 ms."""
+"""Exposure of ``cep advise`` where none is given, and of ``cep optimize`` where neither it nor the
+number of chips is: 52 chips of 1 ms."""
 
 _COUNTS = (STANDARD_CHIPS, 32, 16, 8, 4, 2)
 
 
 def problem_of_standard_chips(problem_of: Callable[[int], SearchProblem]) -> SearchProblem:
-    """Return the problem of 52 chips, or of as many as the motion and the shutter allow.
+    """Return the problem of 52 chips, or the most of 32, 16, 8, 4 and 2 that are possible.
+
+    A chip covers a quarter of a pixel at least, and the shutter can play it.
 
     Parameters
     ----------

@@ -138,8 +138,7 @@ class ExposureFinder:
     def __init__(self, problem: SearchProblem) -> None:
         if problem.frames == 2:
             raise ValueError(
-                "frames: 2 is for cep.optimize with a given number of chips; the exposures of one"
-                " camera are asked for here"
+                "frames: 2 is for cep.optimize; the exposures of one camera are asked for here"
             )
         problem = replace(problem, objective="mse")
         self._fast = self._coarse = CodeCost(problem, oversampling=_OVERSAMPLING)

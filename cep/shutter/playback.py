@@ -119,7 +119,7 @@ class Playback:
 
         The code's file carries the profile of the shutter, where one is given.
 
-        ValueError if a file exists and ``force`` is not given, or as of :meth:`code` and
+        ValueError if a file exists and ``force`` is not given, or as of :attr:`code` and
         :meth:`psf`.
         """
         output = Path(path)

@@ -264,7 +264,7 @@ def _draw(axes: Axes, board: WiredBoard, height_in: float) -> None:
         start, end = reversed(edges) if wire.is_input else edges
         arrow = {
             "arrowstyle": "-|>",
-            "color": COLOURS[wire.is_input],
+            "color": COLOURS[1] if wire.is_input else COLOURS[0],
             "linewidth": 1.5,
             "shrinkA": 0,
             "shrinkB": 0,

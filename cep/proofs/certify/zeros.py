@@ -339,7 +339,10 @@ def _is_reciprocal(coefficients: IntArray) -> bool:
 
 
 def real_form(factor: IntArray, cycles: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-    """Real function of a self-reciprocal factor, its slope (F,), and its rounding error."""
+    """Real function (F,) of a self-reciprocal factor, its slope (F,), and its rounding error.
+
+    ``cycles`` (F,) are cycles per chip.
+    """
     middle = np.arange(len(factor)) - 0.5 * (len(factor) - 1)
     # half-turns are exact in floating point, so the phase is reduced before pi comes in
     turns = np.multiply.outer(cycles, middle)

@@ -12,7 +12,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft, ndimage, signal
 
-from motdiff.crops import LEAST_PX, best_windows, pick_crops, textured_luminance
+from motdiff.crops import (
+    LEAST_PX,
+    best_windows,
+    numbered_photo,
+    pick_crops,
+    textured_luminance,
+)
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.scene_term import SceneSpectra, scene_side_px, scene_spectra
@@ -114,10 +120,10 @@ def exposures_of(
     """
     check_codes(codes, photos=len(photos))
     progress = progress or Progress()
-    greys = [
-        _grey(photo, f"photo {i}" if len(photos) > 1 else "photo")
-        for i, photo in enumerate(photos, 1)
-    ]
+    greys = []
+    for i, photo in enumerate(photos, 1):
+        with numbered_photo(i, count=len(photos)):
+            greys.append(textured_luminance(photo, least_px=LEAST_PX))
     for i, grey in enumerate(greys[1:], 2):
         if grey.shape != greys[0].shape:
             (h, w), (h0, w0) = grey.shape, greys[0].shape
@@ -178,13 +184,6 @@ def _kernels_of(
         return kernels or PmpEstimator(crops=1, progress=on_progress)
 
     return [estimator(progress.piece(cost / len(greys))).estimate(grey) for grey in greys]
-
-
-def _grey(photo: ArrayLike, name: str) -> FloatArray:
-    try:
-        return textured_luminance(photo, least_px=LEAST_PX)
-    except ValueError as error:
-        raise ValueError(f"{name}: {str(error).removeprefix('photo: ')}") from None
 
 
 def _shrunk(estimate: MotionEstimate) -> int:

@@ -148,11 +148,8 @@ class TrailEstimator:
             order = sorted(range(len(photos)), key=lambda i: -self._codes[i].count("1"))
             cut = []
             for i in order:
-                try:
+                with crops.numbered_photo(i + 1, count=len(photos)):
                     cut.append(_trail(photos[i]))
-                except ValueError as error:
-                    name = f"photo {i + 1}" if len(photos) > 1 else "photo"
-                    raise ValueError(f"{name}: {error}") from None
             images, sigmas = zip(*cut, strict=True)
             codes = [self._codes[i] for i in order]
             search = _TrailSearch(codes, images, sigmas, np.random.default_rng(self._seed))
@@ -291,7 +288,12 @@ class _TrailSearch:
         self.spot_px = min(spot_px(image) for image in images)
 
     def run(self, progress: Progress) -> tuple[list[CandidatePath], int]:
-        """Paths that explain the trails, best first, and how many searches ended at the best."""
+        """Paths that explain the trails, best first, and how many searches ended at the best.
+
+        Searches, the later ones from random walks alone, are repeated until two end at one path
+        that explains the trails, which is then no chance. The plan of ``progress`` holds a cost of
+        1 for them already.
+        """
         results: list[tuple[Tensor, Tensor]] = []
         for index in range(_SEARCHES):
             results.append(self.evolved(self.starts(traced=not index)))

@@ -128,11 +128,10 @@ def test_progress_of_each_step_only_grows(stated):
 
 @pytest.mark.slow(reason="searches the motion in one, two and three photos")
 def test_the_order_of_a_motion_is_found(short_search):
-    """From photos whose codes were chosen by the estimates before; how sure one search may be is
-    left out."""
-    steps = list(calibration_steps(camera_of(bow(), side_px=160), most_photos=3))
-    assert len(steps) == 3
-    assert timed_distance_px(steps[-1].calibration.best, bow()) < 0.7
+    """From photos whose codes were chosen by the estimates before. One search alone is never sure;
+    notebooks/order_in_time.py has the whole of them."""
+    *_, last = calibration_steps(camera_of(bow(), side_px=160), most_photos=3)
+    assert timed_distance_px(last.calibration.best, bow()) < 0.7
 
 
 def test_the_motion_is_written_after_each_photo(stated, tmp_path):

@@ -41,7 +41,7 @@ def test_a_photo_among_several_is_named_by_its_number():
 )
 def test_texture_is_two_steps_of_8_bit(level, shade):
     photo = np.full((8, 8), level)
-    with pytest.raises(ValueError, match=f"the photo is {shade} all over"):
+    with pytest.raises(ValueError, match=f"^photo: is {shade} all over"):
         check_texture(photo)
     photo[3, 4] += 0.01 if level < 1 else -0.01  # a lone light has texture
     check_texture(photo)

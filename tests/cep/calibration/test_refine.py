@@ -144,9 +144,9 @@ def test_codes_of_different_speeds_are_refused():
 
 def test_a_flat_photo_is_named_by_its_number_where_there_are_several():
     flat = np.full((80, 80), 0.4)
-    with pytest.raises(ValueError, match=r"^photo 2: the photo is the same all over"):
+    with pytest.raises(ValueError, match=r"^photo 2: is the same all over"):
         refined([photos_along(PATH)[0], flat], PATH)
-    with pytest.raises(ValueError, match=r"^photo: the photo is the same all over"):
+    with pytest.raises(ValueError, match=r"^photo: is the same all over"):
         refined([flat], PATH)
 
 

@@ -143,6 +143,12 @@ def test_grids_along_a_path():
     assert "hides the zero" in {c.verdict for c in grid_claims(ShutterCode("1101"), bent, 0.0)}
 
 
+def test_the_samples_of_the_path_that_was_asked_for_are_not_printed_again():
+    found = audit(ShutterCode("110100"), BENT, flips=0).to_dict()
+    assert "trajectory" not in found["certificate"]
+    assert found["motion"]["length_px"] == BENT.length_px
+
+
 def test_zeros_are_listed_by_direction():
     known = Trajectory(BENT.t, BENT.xy, "known")
     assert set(audit(ShutterCode("1101"), flips=0).zeros) == {"both"}

@@ -97,16 +97,16 @@ def test_no_code_outside_the_devices_limits(plain):
     ids=["opens once", "opens for all of it"],
 )
 def test_where_the_device_leaves_no_code_the_other_ways_are_shown(plain, limits, kinds):
-    device = DeviceProfile(name="slow-shutter", tick_ns=1, **limits)
+    device = DeviceProfile(name="slow-shutter", tick_ns=1, max_chips=8, **limits)
     chain = run_chain(
         bundled_scene(PLAIN, rng=np.random.default_rng(0), side_px=128),
         PLAIN,
         motion=plain.motion,
         levels=LEVELS,
-        chips=8,
         device=device,
         exposure_s=0.032,
     )
+    assert chain.problem.chips == 8
     assert [shot.kind for shot in chain.shots] == kinds
     assert chain.code is None
 
