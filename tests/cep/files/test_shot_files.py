@@ -5,10 +5,12 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from cep.files.shot_files import ShotRecord, record_beside, stated_motion
+from cep.files.images import write_image
+from cep.files.shot_files import ShotRecord, read_light, record_beside, stated_motion
 from cep.optics.code import ShutterCode
 from motdiff.trajectory import Trajectory
 
@@ -63,3 +65,13 @@ def test_a_mosaic_of_one_colour_becomes_that_colour(bayer):
     light = replace(RECORD, bayer=bayer).light(np.tile(cell, (4, 5)))
     assert light.shape == (8, 10, 3)
     np.testing.assert_allclose(light, np.broadcast_to([40, 120, 200], light.shape) / 255)
+
+
+def test_a_photo_is_read_as_its_record_says_and_without_one_as_asked(tmp_path):
+    photo = tmp_path / "photo.png"
+    write_image(photo, np.full((40, 40), 0.5))
+    values = cv2.imread(str(photo), cv2.IMREAD_GRAYSCALE)[0, 0]
+    assert read_light(photo, gamma=1.0).pixels[0, 0] == pytest.approx(values / 255)
+    record = replace(RECORD, black_level=15, gamma="linear")
+    (tmp_path / "photo.json").write_text(json.dumps(record.to_dict()))
+    assert read_light(photo, gamma=1.0).pixels[0, 0] == pytest.approx((values - 15) / (255 - 15))

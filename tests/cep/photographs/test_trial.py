@@ -6,7 +6,7 @@ import pytest
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.photographs.scenes import NAMES, photographs
-from cep.photographs.trial import JUDGED_PX, PhotoTrial, grid_px
+from cep.photographs.trial import JUDGED_PX, PhotoTrial, grid_px, needed_px
 from cep.restoration.wiener import wiener
 from motdiff.trajectory import Trajectory
 
@@ -84,3 +84,22 @@ def test_a_longer_motion_in_two_directions_takes_larger_photos():
         for samples in ([[0, 0], [20, 0]], [[0, 0], [60, 0]], [[0, 0], [60, 0], [60, 60]])
     )
     assert JUDGED_PX**2 < short < long < bent
+
+
+def test_a_scene_as_large_as_needed_is_not_mirrored():
+    """What lies beyond it changes nothing; what lies at its rim does."""
+    path = Trajectory(np.array([0.0, 1.0]), np.array([[-10.0, -3.0], [10.0, 3.0]]))
+    height, width = needed_px([path])
+    large = photographs()[0]
+    top, left = (large.shape[0] - height) // 2, (large.shape[1] - width) // 2
+    middle = large[top : top + height, left : left + width]
+
+    def depends_on_all(photo, psf, *, camera):
+        return photo + photo.mean()
+
+    def level_db(scene):
+        whole = PhotoTrial([path], [scene], camera=BRIGHT, restore=depends_on_all)
+        return whole.psnr_db([ShutterCode("1111")])
+
+    np.testing.assert_array_equal(level_db(middle), level_db(large))
+    assert level_db(middle[8:-8, 8:-8]) != level_db(large)

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cep.plots.camera import exposure_window_figure
+from cep.optics.photon_transfer import CodeRange, PhotonTransfer, TransferPoint
+from cep.plots.camera import exposure_window_figure, photon_transfer_figure
 
 START_S = 200e-6
 LENGTH_S = 3e-3
@@ -46,3 +47,20 @@ def test_an_edge_is_in_the_middle_of_two_flashes_to_either_side(panels, index, e
     # a bar from the flash's beginning to its end
     spans = [segment[:, 0] for segment in bars.get_segments()]
     assert spans[1] == pytest.approx([190, 240])
+
+
+def test_the_fitted_line_is_shot_noise_over_the_read_noise():
+    points = [
+        TransferPoint(signal_dn, signal_dn / 2.5 + 16.0, "fitted") for signal_dn in (100.0, 2000.0)
+    ]
+    transfer = PhotonTransfer(
+        2.5, 0.1, 10.0, 0.1, None, "", 64.0, CodeRange(12), "linear", tuple(points)
+    )
+    (axes,) = photon_transfer_figure(transfer).axes
+    (fit,) = (line for line in axes.lines if str(line.get_label()).startswith("fit"))
+    signal_dn, variance_dn2 = fit.get_data()
+    # 10 electrons of read noise are 4 code values
+    np.testing.assert_allclose(variance_dn2, signal_dn / 2.5 + 16.0)
+    # half of the variance is read noise at 40 code values: the line begins a little below
+    assert 4 < signal_dn.min() < 40
+    assert signal_dn.max() > 2000

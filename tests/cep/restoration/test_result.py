@@ -1,8 +1,11 @@
 """Restored photos whose light is above white."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from cep.restoration.direction import DirectionResult
 from cep.restoration.result import Restoration
 
 
@@ -24,3 +27,11 @@ def test_light_above_white_is_darkened_as_a_whole_and_said():
     np.testing.assert_allclose(ratio, ratio[0])
     assert (darker.image > 1).mean() <= 0.001
     assert len(darker.warnings) == 1
+
+
+def test_the_figures_of_the_direction_are_those_of_its_test():
+    tested = DirectionResult("reverse", 0.9, (2.0, 1.0), (0.4, 0.3), np.ones((1, 1)), None)
+    fields = replace(restoration(0.9), direction_test=tested).to_dict()
+    assert (fields["direction_confidence"], fields["direction_likelihoods"]) == (0.9, (2.0, 1.0))
+    untested = restoration(0.9).to_dict()
+    assert untested["direction_confidence"] is untested["direction_likelihoods"] is None

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from motdiff.estimators.coded.candidates import Evolution, expected_deviation_px
+from motdiff.estimators.coded.candidates import (
+    CandidatePath,
+    Evolution,
+    expected_deviation_px,
+    motion_of_paths,
+)
 from motdiff.estimators.coded.misfit import PathQuadratic, Unknowns
 
 UNKNOWNS = Unknowns(3, 1)
@@ -61,3 +66,22 @@ def test_the_expected_error_of_knots_is_what_their_measurements_leave_about_thei
     rms_px = np.sqrt((draws_px**2).sum(axis=2).mean(axis=0))
     found_px = expected_deviation_px(UNKNOWNS, [term], bent(0.0))
     assert found_px == pytest.approx(rms_px, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("probability", "weights"), [(0.6, [0.6, 0.3, 0.1]), (0.2, [0.2, 0.2, 0.2])]
+)
+def test_other_paths_share_what_the_best_leaves_and_none_is_likelier(probability, weights):
+    paths = [
+        CandidatePath(np.array([[0.0, 0.0], [length_px, 1.0]]), 1.0, 1.0, np.zeros(2))
+        for length_px in (5.0, 6.0, 7.0)
+    ]
+    motion = motion_of_paths(
+        "coded",
+        paths,
+        probability=probability,
+        shares=[6.0, 2.0],
+        deviation_px=np.zeros(2),
+        details={},
+    )
+    assert motion.weights == pytest.approx(np.array(weights) / sum(weights))
