@@ -124,7 +124,7 @@ def test_nested_numbers_are_one_photo(shots):
         ),
         (["run1.png", "copy.png"], ["copy.png: is the same as photo 1"]),
         (["run1.png", "small.png"], ["small.png: needs at least"]),
-        (["run1.png", "grey.png"], ["grey.png: the photo is the same all over"]),
+        (["run1.png", "grey.png"], ["grey.png: is the same all over"]),
         (["run1.png", "missing.png"], ["missing.png"]),
         (["run1.png", "."], ["IMAGE", "one folder alone"]),
         (
