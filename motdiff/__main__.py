@@ -270,14 +270,13 @@ def _add_sample(commands: _Commands[argparse.ArgumentParser]) -> None:
 def _sample(options: argparse.Namespace) -> None:
     import torch
 
-    from motdiff.crops import luminance
     from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
     from motdiff.files.decoding import decode
     from motdiff.files.outputs import write_bytes
     from motdiff.files.photo_files import photo_bytes
     from motdiff.network.condition import PHOTO_PX
     from motdiff.photo_noise import noise_sigma
-    from motdiff.simulate import to_linear
+    from motdiff.photo_values import luminance, to_linear
     from motdiff.weights import DEFAULT_WEIGHTS, load_network
 
     image, _ = decode(photo_bytes(options.photo), options.photo)

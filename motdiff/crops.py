@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from itertools import combinations
 from typing import Any
 
@@ -11,38 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from motdiff.metrics import mnc_subpixel
+from motdiff.photo_values import clipped_mask, luminance
 from motdiff.types import FloatArray
 
 CROP_PX = 256
 """Side of the crops in which motion is searched, px."""
-LEAST_PX = 48
-"""Least side of a photo in which the classical search is tried, px."""
-CLIPPED_LEVEL = 0.98  # JPEG and demosaicing leave a clipped area a little below full scale
 # a crop with this share of clipped pixels is used only when there is nothing else
 _CLIPPED_SHARE = 0.02
 _OVERLAP_SHARE = 0.25  # of a crop's area, with any other
-_FULL = 0.95  # a dim photo is brightened up to the first
-_DARKEST = 1e-6  # of full scale: a black photo gets a finite gain
-_LEAST_GAIN = 1.5  # a photo that would gain less is bright enough, and stays as it is
 _WHOLE = 1.25  # a photo larger than a crop by up to this is taken whole
-
-
-def luminance(photo: ArrayLike) -> FloatArray:
-    """Mean of the colour channels, (H, W), of a photo in linear light; a grey photo as it is.
-
-    ValueError if the shape is neither (H, W) nor (H, W, C), or a value is not finite.
-    """
-    image = np.asarray(photo)
-    if image.dtype.kind != "f":
-        image = image.astype(np.float64)
-    if image.ndim not in (2, 3) or 0 in image.shape:
-        raise ValueError(f"photo: must be (H, W) or (H, W, C), got shape {image.shape}")
-    if not np.isfinite(image).all():
-        raise ValueError("photo: must be finite, found NaN or infinity")
-    # a large photo comes in single precision, and is never held in double with all its colours
-    if image.ndim == 3:
-        return np.asarray(image.mean(axis=2, dtype=np.float64))
-    return np.asarray(image, dtype=np.float64)
 
 
 def centre_crop(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
@@ -50,58 +26,6 @@ def centre_crop(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
     height, width = (min(image.shape[0], rows), min(image.shape[1], columns))
     row, column = ((image.shape[0] - height) // 2, (image.shape[1] - width) // 2)
     return image[row : row + height, column : column + width]
-
-
-def textured_luminance(photo: ArrayLike, *, least_px: int) -> FloatArray:
-    """:func:`luminance` of a photo in which motion can be searched.
-
-    ValueError as there, if a side is shorter than ``least_px``, or if all pixels are the same.
-    """
-    grey = luminance(photo)
-    check_size(grey, least_px=least_px)
-    if np.ptp(grey) == 0:
-        raise ValueError("photo: is constant; motion shows only where the scene has texture")
-    return grey
-
-
-def exposure_gain(photo: ArrayLike) -> float:
-    """Factor that brightens a dim photo as far as full scale allows; 1 for a bright one.
-
-    What is searched and chosen by limits on light and noise then hardly depends on a photo's
-    exposure.
-
-    Examples
-    --------
-    >>> round(exposure_gain([[0.05, 0.1]]), 3), exposure_gain([[0.1, 1.0]])
-    (9.5, 1.0)
-    """
-    gain = _FULL / max(float(np.max(photo, initial=0.0)), _DARKEST)
-    return 1.0 if gain < _LEAST_GAIN else gain
-
-
-@contextmanager
-def numbered_photo(number: int, *, count: int) -> Iterator[None]:
-    """Let an error about a photo begin with ``photo:``, of several with its number."""
-    try:
-        yield
-    except ValueError as error:
-        name = "photo" if count == 1 else f"photo {number}"
-        raise ValueError(f"{name}: {str(error).removeprefix('photo: ')}") from None
-
-
-def check_size(photo: ArrayLike, *, least_px: int) -> None:
-    """Refuse a photo (H, W) or (H, W, C) with a side shorter than ``least_px``."""
-    height, width = np.shape(photo)[:2]
-    if min(height, width) < least_px:
-        raise ValueError(
-            f"photo: needs at least {least_px} x {least_px} px, got {width} x {height}"
-        )
-
-
-def clipped_mask(photo: ArrayLike) -> NDArray[np.bool_]:
-    """Pixels (H, W) of a photo (H, W) or (H, W, C) with a channel at :data:`CLIPPED_LEVEL`."""
-    high = np.asarray(photo) >= CLIPPED_LEVEL
-    return np.asarray(high if high.ndim == 2 else high.any(axis=2))
 
 
 def pick_crops(photo: ArrayLike, *, size: int = CROP_PX, count: int = 4) -> list[tuple[int, int]]:

@@ -1,4 +1,4 @@
-"""Simulated photos: blur with real or mirrored borders, noise, display gamma."""
+"""Simulated photos: blur with real or mirrored borders, and noise."""
 
 from __future__ import annotations
 
@@ -12,9 +12,6 @@ from scipy import fft
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory, check_positive
 from motdiff.types import FloatArray
-
-_SRGB_KNEE_LINEAR = 0.0031308  # IEC 61966-2-1: below, the curve is straight
-_SRGB_KNEE_DISPLAY = 0.0031308 * 12.92
 
 
 def valid_window(shape: tuple[int, ...], psf_shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -166,31 +163,6 @@ def border_px(borders: str, psf_px: int = PSF_PX) -> int:
     if not _are_real(borders):
         return 0  # mirrored: the photo is as large as the scene
     return psf_px - 1
-
-
-def to_display(linear: ArrayLike, *, gamma: float | None = None) -> FloatArray:
-    """Encode linear light for display, by a power law or the sRGB curve where ``gamma`` is None.
-
-    It is odd in the value, so noise below 0 survives.
-    """
-    light = np.asarray(linear, dtype=np.float64)
-    size = np.abs(light)
-    if gamma is not None:
-        check_positive("gamma", gamma)
-        return np.copysign(size ** (1 / gamma), light)
-    high = 1.055 * np.maximum(size, _SRGB_KNEE_LINEAR) ** (1 / 2.4) - 0.055
-    return np.copysign(np.where(size <= _SRGB_KNEE_LINEAR, 12.92 * size, high), light)
-
-
-def to_linear(display: ArrayLike, *, gamma: float | None = None) -> FloatArray:
-    """Decode display values to linear light by a power law, or sRGB where ``gamma`` is None."""
-    value = np.asarray(display, dtype=np.float64)
-    size = np.abs(value)
-    if gamma is not None:
-        check_positive("gamma", gamma)
-        return np.copysign(size**gamma, value)
-    high = ((np.maximum(size, _SRGB_KNEE_DISPLAY) + 0.055) / 1.055) ** 2.4
-    return np.copysign(np.where(size <= _SRGB_KNEE_DISPLAY, size / 12.92, high), value)
 
 
 def _are_real(borders: str) -> bool:

@@ -18,7 +18,7 @@ from cep.optics.photon_transfer import PhotonTransfer, photon_transfer
 from cep.plots.camera import photon_transfer_figure
 from cep.plots.canvas import check_figure_name, save
 from motdiff.files.outputs import claim
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 
 _LOSSY = (".jpg", ".jpeg", ".webp")
 _FRAME_SIDE_PX = 16

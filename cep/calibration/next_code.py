@@ -16,11 +16,11 @@ from cep.files.code_files import StoredCode, write_code
 from cep.optics.code import ShutterCode
 from cep.search.limits import Limits
 from hw.device import DeviceProfile
-from motdiff.crops import luminance
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.estimator import LARGEST_PROBABILITY
 from motdiff.estimators.coded.starts import orders
 from motdiff.metrics import rms_distance_px
+from motdiff.photo_values import luminance
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 

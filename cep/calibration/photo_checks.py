@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cep.optics.code import ShutterCode
-from motdiff.crops import check_size, numbered_photo
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.method import Method
 from motdiff.estimators.registry import METHODS, blind_methods
+from motdiff.photo_values import check_size, numbered_photo
 
 _LEAST_CONTRAST = 2 / 255  # two steps of 8 bit: rounding alone makes one
 

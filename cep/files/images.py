@@ -17,7 +17,7 @@ from motdiff.files.decoding import decode
 from motdiff.files.mat_files import read_mat
 from motdiff.files.outputs import new_file
 from motdiff.files.photo_files import check_px, photo_bytes
-from motdiff.simulate import to_display, to_linear
+from motdiff.photo_values import to_display, to_linear
 from motdiff.types import FloatArray
 
 # photos of more pixels are held in single precision: half the memory, and finer than any sensor
@@ -345,7 +345,7 @@ def parse_gamma(text: str | float) -> str | float:
 
 
 def _exponent(gamma: str | float) -> float | None:
-    """Exponent as :func:`motdiff.simulate.to_linear` takes it: None is the sRGB curve."""
+    """Exponent as :func:`motdiff.photo_values.to_linear` takes it: None is the sRGB curve."""
     checked = parse_gamma(gamma)
     if checked == "srgb":
         return None

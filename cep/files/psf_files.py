@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cep.files.images import read_photo
-from motdiff.crops import luminance
 from motdiff.files.inputs import one_line, regular_file
 from motdiff.files.mat_files import levin_psf, read_mat
 from motdiff.files.outputs import new_files, write_bytes
+from motdiff.photo_values import luminance
 
 PSF_SUFFIXES = (".npy", ".mat", ".png")
 # how far a centre of mass may be off the middle without a doubt

@@ -21,7 +21,7 @@ from motdiff.files.json_files import fault, json_text, load_schema, read_version
 from motdiff.files.outputs import new_files
 from motdiff.files.trajectories import parse_motion, trajectory_text
 from motdiff.metrics import timed_distance_px
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from motdiff.crops import CLIPPED_LEVEL
 from motdiff.photo_noise import noise_sigma
+from motdiff.photo_values import CLIPPED_LEVEL
 
 _DEPTHS = (8, 10, 12)  # bits of cameras whose photo in a 16-bit file is too dark for any other
 _UNSURE_DEPTH = 14  # a photo with light of a quarter of full scale may be one of 16 bits

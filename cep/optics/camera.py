@@ -17,7 +17,8 @@ from numpy.typing import ArrayLike
 from motdiff.files.inputs import one_line, read_json, read_toml
 from motdiff.files.json_files import fault, load_schema
 from motdiff.files.outputs import write_text
-from motdiff.simulate import add_noise, to_display, to_linear
+from motdiff.photo_values import to_display, to_linear
+from motdiff.simulate import add_noise
 from motdiff.types import FloatArray
 
 SCHEMA = "cep.camera/1"

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from cep.optics.camera import Camera
 from cep.optics.frame_pairs import CodeRange, FramePair
-from motdiff.simulate import to_display, to_linear
+from motdiff.photo_values import to_display, to_linear
 from motdiff.types import FloatArray
 
 _FIT_SHARE = 0.7  # of saturation: above it the response bends, EMVA 1288

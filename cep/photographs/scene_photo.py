@@ -13,7 +13,7 @@ import numpy as np
 from cep.files.images import read_photo
 from cep.optics.scene import PHOTO, Scene
 from cep.photographs.trial import JUDGED_PX, needed_px
-from motdiff.crops import clipped_mask, luminance
+from motdiff.photo_values import clipped_mask, luminance
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 

@@ -8,7 +8,7 @@ from importlib import resources
 import cv2
 import numpy as np
 
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 from motdiff.types import FloatArray
 
 NAMES = (

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from motdiff.files.outputs import new_file
-from motdiff.simulate import to_display
+from motdiff.photo_values import to_display
 from motdiff.types import FloatArray
 
 if TYPE_CHECKING:

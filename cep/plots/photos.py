@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from cep.files.foreign_text import plot_text
 from cep.plots.canvas import COLOURS, new_figure, show_photo, thumbnail
-from motdiff.crops import centre_crop, luminance
+from motdiff.crops import centre_crop
+from motdiff.photo_values import luminance
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 

@@ -16,9 +16,10 @@ from cep.restoration.sharpen import LEAST_CONFIDENCE, sharpen
 from cep.search.advise import LEVELS, Advice
 from cep.search.chip_count import problem_of_standard_chips
 from cep.search.exposures import CODED, Choice, Exposure
-from motdiff.crops import centre_crop, luminance
+from motdiff.crops import centre_crop
 from motdiff.estimators.base import MotionEstimate
 from motdiff.metrics import psnr_up_to_shift
+from motdiff.photo_values import luminance
 from motdiff.simulate import visible
 from motdiff.types import FloatArray
 

@@ -13,7 +13,7 @@ from hw.program import Program
 from motdiff.crops import centre_crop, pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.motions import quadratic
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 from motdiff.types import FloatArray
 
 # a hand accelerates over a short exposure: a bent path that is slower at one end

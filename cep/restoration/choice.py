@@ -23,9 +23,9 @@ from cep.restoration.plug_and_play import pnp
 from cep.restoration.result import misfit
 from cep.restoration.tv import gradient_sparsity, tv
 from cep.restoration.wiener import wiener
-from motdiff.crops import clipped_mask, luminance, pick_crops
+from motdiff.crops import pick_crops
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
-from motdiff.simulate import to_display
+from motdiff.photo_values import clipped_mask, luminance, to_display
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 

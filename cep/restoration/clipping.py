@@ -14,7 +14,7 @@ from scipy import ndimage
 
 from cep.restoration.blur import Blur, channels_first, channels_last, gradient_power, trimmed_psf
 from cep.restoration.tv import divergence, forward_differences
-from motdiff.crops import CLIPPED_LEVEL
+from motdiff.photo_values import CLIPPED_LEVEL
 from motdiff.threads import side_by_side
 from motdiff.types import BoolArray, FloatArray
 
@@ -35,10 +35,10 @@ def fill_clipped(photo: ArrayLike, psf: ArrayLike) -> NDArray[np.floating]:
     """Replace the clipped pixels of a photo by the blurred light of the likeliest scene.
 
     The scene x minimises ``|M (A x - y)|^2 / 2 + 1e-3 (|Dx x|_1 + |Dy x|_1)``, M being 1 on the
-    photo's other pixels, with ``x >= 0`` and with ``A x`` at :data:`motdiff.crops.CLIPPED_LEVEL`
-    or more where the photo is clipped. ADMM splits ``A x``, so that the mask is applied pixel by
-    pixel and x is solved for in the Fourier domain. Light from beyond the border is unknown in the
-    same way.
+    photo's other pixels, with ``x >= 0`` and with ``A x`` at
+    :data:`motdiff.photo_values.CLIPPED_LEVEL` or more where the photo is clipped. ADMM
+    splits ``A x``, so that the mask is applied pixel by pixel and x is solved for in the Fourier
+    domain. Light from beyond the border is unknown in the same way.
 
     Parameters
     ----------

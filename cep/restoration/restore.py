@@ -25,8 +25,8 @@ from cep.restoration.direction import detect_direction
 from cep.restoration.registry import find_method, registered_method
 from cep.restoration.result import Restoration, misfit
 from cep.restoration.sharpen import LEAST_CONFIDENCE, sharpen
-from motdiff.crops import clipped_mask, exposure_gain
 from motdiff.estimators.registry import METHODS as ESTIMATORS
+from motdiff.photo_values import clipped_mask, exposure_gain
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

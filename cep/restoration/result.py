@@ -12,7 +12,7 @@ from scipy import signal
 from cep.files.images import encode_image, write_image
 from cep.restoration.blur import channels_first, trimmed_psf
 from cep.restoration.direction import DirectionResult
-from motdiff.crops import CLIPPED_LEVEL
+from motdiff.photo_values import CLIPPED_LEVEL
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 

@@ -16,8 +16,8 @@ from cep.restoration.choice import (
 )
 from cep.restoration.clipping import clipped_warnings
 from cep.restoration.result import Restoration, misfit
-from motdiff.crops import clipped_mask, exposure_gain
 from motdiff.estimators.base import MotionEstimate
+from motdiff.photo_values import clipped_mask, exposure_gain
 from motdiff.psf_frame import PSF_PX
 from motdiff.types import FloatArray
 

@@ -24,8 +24,9 @@ from cep.restoration.clipping import clipped_warnings, fill_clipped
 from cep.restoration.direction import DIRECTIONS, LARGEST_CROP_PX, Direction, orders_in_time
 from cep.restoration.plug_and_play import pnp_together
 from cep.restoration.result import Restoration, misfit
-from motdiff.crops import centre_crop, clipped_mask, luminance
+from motdiff.crops import centre_crop
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
+from motdiff.photo_values import clipped_mask, luminance
 from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

@@ -14,7 +14,7 @@ from cep.optics.code import ShutterCode
 from cep.shutter.cameras import path_and_settings
 from hw.cameras.camera import Camera, CameraError, CameraSettings, Frame, FrameLostError, Trigger
 from motdiff.files.decoding import decoder_output
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 
 _GAP = 1.5  # an interval that is longer than the median by this factor has lost a frame
 _UNEVEN_SHARE = 0.05  # of the interval: frame times that vary by more are said

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hw.cameras.camera import Frame
-from motdiff.crops import CLIPPED_LEVEL
-from motdiff.simulate import to_display, to_linear
+from motdiff.photo_values import CLIPPED_LEVEL, to_display, to_linear
 
 CLIPPED_SHARE = 0.01
 """Of the pixels, from which on there is too much light."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from cep.files.images import PICTURE_SUFFIXES, read_image
 from lab.bench.own_files import is_own_output
-from motdiff.crops import luminance
+from motdiff.photo_values import luminance
 from motdiff.types import FloatArray
 
 Layout = Literal["photos", "gopro", "rsblur", "levin", "koehler"]

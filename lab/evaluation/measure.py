@@ -11,10 +11,10 @@ import numpy as np
 from lab.evaluation.draws import measure_draws
 from lab.evaluation.metrics import laid_on, psnr_ssim_up_to_shift
 from lab.evaluation.sets import Case
-from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.description import as_estimate
 from motdiff.metrics import mnc, mnc_subpixel, path_distance_px
+from motdiff.photo_values import luminance
 from motdiff.psf_frame import PSF_PX
 from motdiff.types import FloatArray
 

@@ -77,10 +77,10 @@ class NetworkAlone:
         """Draw motions from ``photo``, (H, W) or (H, W, 3)."""
         import torch
 
-        from motdiff.crops import luminance
         from motdiff.estimators.motdiff.drawing import draw_psfs, quick_search
         from motdiff.network.correction import corrected_kernel
         from motdiff.photo_noise import noise_sigma
+        from motdiff.photo_values import luminance
         from motdiff.tracing.quadratic import simplest_trajectory
 
         grey = luminance(photo)

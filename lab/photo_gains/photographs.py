@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from motdiff.crops import centre_crop, luminance
-from motdiff.simulate import to_linear
+from motdiff.crops import centre_crop
+from motdiff.photo_values import luminance, to_linear
 from motdiff.training.photos import load_photos
 from motdiff.types import FloatArray
 

@@ -28,10 +28,11 @@ from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from lab.rivals.adm_unet import AdmConfig, AdmUNet
-from motdiff.crops import luminance, pick_crops
+from motdiff.crops import pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.description import estimate_from_kernel
 from motdiff.files.inputs import one_line
+from motdiff.photo_values import luminance
 from motdiff.training.simulation import blurred
 from motdiff.weights_io import filled, halved, read_card, write_with_card
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from motdiff.crops import best_windows, textured_luminance
+from motdiff.crops import best_windows
+from motdiff.photo_values import textured_luminance
 from motdiff.psf_frame import PSF_PX
 
 if TYPE_CHECKING:

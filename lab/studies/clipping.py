@@ -19,10 +19,10 @@ from skimage import data
 from cep.restoration.clipping import fill_clipped
 from cep.restoration.registry import METHODS
 from lab.studies.inputs import study_parser
-from motdiff.crops import clipped_mask, luminance
 from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.metrics import mnc_subpixel, psnr
 from motdiff.motions import boracchi_foi
+from motdiff.photo_values import clipped_mask, luminance
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import blur_valid, visible
 

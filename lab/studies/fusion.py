@@ -22,9 +22,10 @@ import numpy as np
 
 from cep.calibration.calibrate import estimate_motion
 from lab.studies.inputs import photos, study_parser
-from motdiff.crops import luminance, pick_crops
+from motdiff.crops import pick_crops
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi
+from motdiff.photo_values import luminance
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

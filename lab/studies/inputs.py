@@ -14,7 +14,7 @@ import numpy as np
 
 from lab.bench.blind.protocol import synthetic_trace
 from motdiff.gyro import GyroTrace
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 from motdiff.types import FloatArray
 
 BUNDLED = ("camera", "astronaut", "coffee", "chelsea", "brick", "coins", "page", "moon")

@@ -36,7 +36,6 @@ from lab.evaluation.draws import measure_draws
 from lab.evaluation.sets import levin_photo
 from lab.studies.inputs import add_row, kept_rows, study_parser
 from motdiff.blind_search.coarse_to_fine import refined
-from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, FoundKernels
 from motdiff.estimators.blind_estimator import BlindEstimator
 from motdiff.estimators.kernel_score import distinct, rank_kernels
@@ -49,6 +48,7 @@ from motdiff.network.correction import CorrectionNetwork, corrected_kernel
 from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.photo_noise import noise_sigma, shared_sigma
+from motdiff.photo_values import luminance
 from motdiff.progress import Progress
 from motdiff.threads import one_thread, side_by_side
 from motdiff.training.config import read_config

@@ -18,7 +18,7 @@ import numpy as np
 
 from cep.photographs.scene_photo import band_levels, fitted_levels, fitted_scene, windows
 from cep.photographs.scenes import photographs
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 from motdiff.types import FloatArray
 
 PAGE_PX = 256

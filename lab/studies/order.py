@@ -46,11 +46,12 @@ from lab.studies.inputs import (
     smooth_trace,
     study_parser,
 )
-from motdiff.crops import luminance, pick_crops
+from motdiff.crops import pick_crops
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import timed_distance_px
 from motdiff.motions import boracchi_foi, random_gyro_motion
+from motdiff.photo_values import luminance
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

@@ -23,12 +23,11 @@ import numpy as np
 
 from lab.studies.inputs import add_row, finished_rows, kept_rows, photos, study_parser
 from lab.studies.photo_path import KINDS, drawn_motion
-from motdiff.crops import clipped_mask, luminance
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc_subpixel
-from motdiff.simulate import to_display, to_linear
+from motdiff.photo_values import clipped_mask, luminance, to_display, to_linear
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

@@ -22,12 +22,12 @@ from pathlib import Path
 import numpy as np
 
 from lab.studies.inputs import add_row, finished_rows, kept_rows, photos, study_parser
-from motdiff.crops import luminance
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc_subpixel, path_distance_px, timed_distance_px
 from motdiff.motions import boracchi_foi, random_gyro_motion
+from motdiff.photo_values import luminance
 from motdiff.simulate import photograph
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory

@@ -37,8 +37,8 @@ from cep.restoration.result import Restoration
 from cep.restoration.sharpen import sharpen
 from cep.restoration.tv import gradient_sparsity
 from lab.studies.inputs import study_parser
-from motdiff.crops import luminance
 from motdiff.photo_noise import noise_sigma
+from motdiff.photo_values import luminance
 from motdiff.types import FloatArray
 
 _FLAT_SIGMA = 2.0  # of the noise: detail up to it is none

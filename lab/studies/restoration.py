@@ -26,8 +26,8 @@ from lab.bench.datasets import crop, photo_folder, pick
 from lab.bench.statistics import mean_interval
 from lab.evaluation.metrics import psnr_ssim_up_to_shift
 from lab.studies.inputs import study_parser
-from motdiff.crops import luminance
 from motdiff.metrics import mnc_subpixel
+from motdiff.photo_values import luminance
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory

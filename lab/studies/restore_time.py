@@ -17,7 +17,7 @@ from cep.codes.sources import load_code
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.restoration.restore import restore
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 from motdiff.trajectory import Trajectory
 
 PATH = Trajectory.straight(30.0, angle_rad=0.5, direction="known")

@@ -32,7 +32,8 @@ from cep.shutter.twin import TwinCamera, code_values, openings_s
 from hw.emulation.uno import EmulatedUno
 from motdiff.crops import centre_crop
 from motdiff.metrics import psnr
-from motdiff.simulate import blur_valid, to_display, to_linear
+from motdiff.photo_values import to_display, to_linear
+from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
 CODE = ShutterCode(load_code("raskar-52").bits, 200_000)

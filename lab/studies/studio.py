@@ -171,7 +171,8 @@ def large_photo(page: Any, peak: Peak) -> None:
     from skimage import data
 
     from cep.files.images import encode_image
-    from motdiff.simulate import blur_valid, to_linear
+    from motdiff.photo_values import to_linear
+    from motdiff.simulate import blur_valid
     from motdiff.trajectory import Trajectory
 
     path = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])

@@ -12,14 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage, sparse
 
-from motdiff.crops import (
-    CROP_PX,
-    best_windows,
-    clipped_mask,
-    exposure_gain,
-    numbered_photo,
-    textured_luminance,
-)
+from motdiff.crops import CROP_PX, best_windows
 from motdiff.estimators.base import LOST, FoundKernels, MotionEstimate
 from motdiff.estimators.description import described
 from motdiff.estimators.doubts import doubted
@@ -27,6 +20,7 @@ from motdiff.estimators.fusion import GOOD_MNC, Fusion, cut_alike, fuse
 from motdiff.estimators.kernel_score import uneven_blur_warning
 from motdiff.metrics import path_distance_px
 from motdiff.photo_noise import shared_sigma
+from motdiff.photo_values import clipped_mask, exposure_gain, numbered_photo, textured_luminance
 from motdiff.progress import Progress
 from motdiff.psf_frame import without_faint_parts
 from motdiff.threads import one_thread_a_call

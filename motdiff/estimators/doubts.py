@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
-from motdiff.crops import CLIPPED_LEVEL
 from motdiff.estimators.base import LOST, MotionEstimate
 from motdiff.metrics import mnc_subpixel
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
+from motdiff.photo_values import CLIPPED_LEVEL
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

@@ -15,7 +15,7 @@ from cep.files.images import read_image
 from lab.bench.blind.protocol import Protocol
 from lab.bench.datasets import crop, koehler_pairs, layout_of, pick, rsblur_pairs
 from lab.evaluation.sets import Case, levin_photo
-from motdiff.crops import luminance
+from motdiff.photo_values import luminance
 from motdiff.simulate import border_px, photograph, visible
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

@@ -28,8 +28,8 @@ from lab.evaluation.methods import named_estimators
 from lab.evaluation.metrics import psnr_ssim_up_to_shift
 from lab.evaluation.sets import Case, levin_photo
 from lab.jobs.cells import Figure
-from motdiff.crops import luminance
 from motdiff.estimators.base import Estimator, MotionEstimate
+from motdiff.photo_values import luminance
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

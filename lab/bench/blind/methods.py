@@ -36,6 +36,7 @@ _TAKING = (
     "lab.bench.blind.cases",
     "lab.bench.datasets",  # the crop
     "motdiff.simulate",
+    "motdiff.photo_values",
     "cep.files.images",  # gamma
     "cep.files.raw_files",
     "motdiff.files.decoding",

@@ -20,9 +20,8 @@ from lab.evaluation.measure import restored
 from lab.evaluation.metrics import laid_on
 from lab.evaluation.sets import levin_photo
 from lab.jobs.cells import Cell, Result
-from motdiff.crops import luminance
+from motdiff.photo_values import luminance, to_linear
 from motdiff.psf_frame import in_frame
-from motdiff.simulate import to_linear
 from motdiff.threads import one_thread
 from motdiff.types import FloatArray
 

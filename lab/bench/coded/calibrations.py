@@ -20,10 +20,11 @@ from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import shifted_psf
 from lab.bench.coded.protocol import paths_to
-from motdiff.crops import luminance, pick_crops
+from motdiff.crops import pick_crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.metrics import mnc_subpixel, timed_distance_px
+from motdiff.photo_values import luminance
 from motdiff.psf_frame import in_frame
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray

@@ -15,8 +15,8 @@ from cep.proofs.mtf_curves import mtf_curve
 from lab.bench.coded.designs import design_of
 from lab.bench.coded.stages import pictures_of
 from lab.bench.inset import show_inset
+from motdiff.photo_values import to_linear
 from motdiff.psf_frame import PSF_PX
-from motdiff.simulate import to_linear
 from motdiff.types import FloatArray
 
 if TYPE_CHECKING:

@@ -26,6 +26,7 @@ _EXPOSED = (
     "cep.files.raw_files",
     "motdiff.files.decoding",
     "motdiff.crops",
+    "motdiff.photo_values",
 )
 """From the file to the photo."""
 _ESTIMATED: dict[str, tuple[str, tuple[Path, ...]]] = {

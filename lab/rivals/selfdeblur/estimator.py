@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from lab.rivals.selfdeblur.config import SelfDeblurConfig
 from lab.rivals.selfdeblur.fit import JointFit
-from motdiff.crops import best_windows, textured_luminance
+from motdiff.crops import best_windows
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.description import estimate_from_kernel
+from motdiff.photo_values import textured_luminance
 
 _LEAST_PX = 32
 _SAVED_EVERY_S = 60.0

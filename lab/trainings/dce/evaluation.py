@@ -13,8 +13,9 @@ from cep.optics.exposure import coded_psf
 from cep.restoration.wiener import wiener
 from lab.trainings.dce.weights import WEIGHTS, read_card, restore
 from motdiff.metrics import psnr
+from motdiff.photo_values import to_linear
 from motdiff.psf_frame import PSF_PX
-from motdiff.simulate import photograph, to_linear, visible
+from motdiff.simulate import photograph, visible
 from motdiff.training.motion_bank import MotionMix, drawn_motions
 from motdiff.training.photos import load_photos
 from motdiff.types import FloatArray

@@ -11,8 +11,9 @@ import torch
 from torch import Tensor
 
 from cep.optics.exposure import chip_psfs
+from motdiff.photo_values import to_linear
 from motdiff.psf_frame import PSF_PX
-from motdiff.simulate import to_linear, valid_window
+from motdiff.simulate import valid_window
 from motdiff.training.motion_bank import MotionMix, draw_motion, mix_trace
 from motdiff.training.photos import crops
 

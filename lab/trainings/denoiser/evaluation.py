@@ -15,7 +15,8 @@ from cep.restoration.plug_and_play import pnp
 from cep.restoration.wiener import wiener
 from motdiff.metrics import psnr
 from motdiff.motions import boracchi_foi
-from motdiff.simulate import to_linear, visible
+from motdiff.photo_values import to_linear
+from motdiff.simulate import visible
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motdiff.simulate import to_display, to_linear
+from motdiff.photo_values import to_display, to_linear
 from motdiff.training.motion_bank import MotionMix, drawn_motions
 from motdiff.training.photos import load_photos
 

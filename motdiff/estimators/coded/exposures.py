@@ -12,19 +12,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft, ndimage, signal
 
-from motdiff.crops import (
-    LEAST_PX,
-    best_windows,
-    numbered_photo,
-    pick_crops,
-    textured_luminance,
-)
+from motdiff.crops import best_windows, pick_crops
 from motdiff.estimators.base import Estimator, MotionEstimate
 from motdiff.estimators.coded.codes import check_codes
 from motdiff.estimators.coded.scene_term import SceneSpectra, scene_side_px, scene_spectra
 from motdiff.estimators.kernel_score import rank_kernels
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator, searched_kernels
 from motdiff.photo_noise import LEAST_SIGMA, noise_sigma
+from motdiff.photo_values import LEAST_PX, numbered_photo, textured_luminance
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX, in_frame
 from motdiff.threads import side_by_side

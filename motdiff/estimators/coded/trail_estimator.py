@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from scipy import ndimage, optimize
 from torch import Tensor
 
-from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.coded.candidates import (
     UNEXPLAINED,
@@ -30,6 +29,7 @@ from motdiff.estimators.coded.trail_term import TrailTerm, TrailUnknowns, spot_p
 from motdiff.estimators.point.estimator import background_light
 from motdiff.motions import boracchi_foi
 from motdiff.path_psfs import interpolated
+from motdiff.photo_values import clipped_mask, luminance, numbered_photo
 from motdiff.progress import Progress
 from motdiff.psf_frame import PSF_PX
 from motdiff.threads import one_thread_a_call
@@ -148,7 +148,7 @@ class TrailEstimator:
             order = sorted(range(len(photos)), key=lambda i: -self._codes[i].count("1"))
             cut = []
             for i in order:
-                with crops.numbered_photo(i + 1, count=len(photos)):
+                with numbered_photo(i + 1, count=len(photos)):
                     cut.append(_trail(photos[i]))
             images, sigmas = zip(*cut, strict=True)
             codes = [self._codes[i] for i in order]
@@ -160,7 +160,7 @@ class TrailEstimator:
 
 def _trail(photo: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Trail of the brightest light without the background, and each pixel's standard deviation."""
-    light = crops.luminance(photo)
+    light = luminance(photo)
     above = light - background_light(light, PSF_PX)
     above = above - np.median(above)
     noise = max(float(1.4826 * np.median(np.abs(above))), _LEAST_NOISE)
@@ -179,7 +179,7 @@ def _trail(photo: ArrayLike) -> tuple[FloatArray, FloatArray]:
         raise ValueError(
             f"the light's trail is longer than {_MOST_PX} px; give the photo at a smaller size"
         )
-    clipped = crops.clipped_mask(photo)
+    clipped = clipped_mask(photo)
     if clipped[trail].mean() > _MOST_CLIPPED:
         raise ValueError("the light is saturated on its trail; expose less or dim the light")
     crop = tuple(

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 from numpy.typing import ArrayLike
 
-from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.gyro import Gyro
 from motdiff.gyro import DEFAULT_AXES, GyroTrace, roll_rad, trajectory_from_gyro
+from motdiff.photo_values import luminance
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import check_length
 
@@ -56,7 +56,7 @@ class GyroEstimator:
         the path needs a frame larger than the photo, as that of rates in deg/s that were read as
         rad/s.
         """
-        height, width = crops.luminance(photo).shape
+        height, width = luminance(photo).shape
         window = {"start_s": self.start_s, "exposure_s": self.exposure_s}
         axes = DEFAULT_AXES if self.axes is None else self.axes
         trajectory = trajectory_from_gyro(self.trace, focal_px=self.focal_px, axes=axes, **window)

@@ -28,7 +28,7 @@ class Pmp(Method):
         "liu2008",
         "hu2012",
     )
-    smallest_px = 48  # as motdiff.crops.LEAST_PX, which loads OpenCV
+    smallest_px = 48  # as motdiff.photo_values.LEAST_PX, which loads numpy
     is_blind = True
 
     def make(

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.point import Point
 from motdiff.metrics import mnc_subpixel, register_shift
+from motdiff.photo_values import clipped_mask, luminance
 from motdiff.psf_frame import PSF_PX, centred, in_frame
 from motdiff.tracing.path import trace_psf_to_trajectory
 from motdiff.types import BoolArray, FloatArray
@@ -55,8 +55,8 @@ class PointEstimator:
 
         ValueError if the photo shows no streak that fits the frame.
         """
-        light = crops.luminance(photo)
-        streaks, too_long, cut_off = _streaks(light, crops.clipped_mask(photo))
+        light = luminance(photo)
+        streaks, too_long, cut_off = _streaks(light, clipped_mask(photo))
         if not streaks:
             why = ""
             if too_long:

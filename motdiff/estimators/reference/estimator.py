@@ -15,6 +15,7 @@ from motdiff import crops
 from motdiff.estimators.base import MotionEstimate
 from motdiff.estimators.reference import Reference, psf_fit
 from motdiff.metrics import mnc_subpixel
+from motdiff.photo_values import CLIPPED_LEVEL, clipped_mask, luminance
 from motdiff.psf_frame import PSF_PX, centroid_px, without_faint_light
 from motdiff.tracing.path import trace_psf_to_trajectory
 from motdiff.types import BoolArray, FloatArray
@@ -75,7 +76,7 @@ class ReferenceEstimator:
     def __post_init__(self) -> None:
         if self.size < 3:
             raise ValueError(f"size: must be at least 3 px, got {self.size}")
-        crops.luminance(self.sharp)
+        luminance(self.sharp)
 
     def estimate(self, photo: ArrayLike) -> MotionEstimate:
         """Estimate the motion in ``photo``, (H, W) or (H, W, C) float, linear light 0..1.
@@ -273,7 +274,7 @@ class _Photo:
 
     @classmethod
     def of(cls, name: str, photo: ArrayLike) -> _Photo:
-        light = crops.luminance(photo)
+        light = luminance(photo)
         if min(light.shape) < _LEAST_CROP_PX:
             raise ValueError(
                 f"{name}: {light.shape[1]} x {light.shape[0]} px is too small to compare, "
@@ -282,7 +283,7 @@ class _Photo:
         detail = high_passed(light)
         if float(detail.std()) < 1e-6:
             raise ValueError(f"{name}: has no texture to compare (constant image?)")
-        return cls(light, detail, crops.clipped_mask(photo), _noise_variance(light))
+        return cls(light, detail, clipped_mask(photo), _noise_variance(light))
 
 
 def high_passed(light: FloatArray) -> FloatArray:
@@ -348,7 +349,7 @@ def _clean_channels(
     a = np.asarray(sharp, dtype=np.float64)
     b = np.asarray(photo, dtype=np.float64)
     if a.ndim == b.ndim == 3 and a.shape[2] == b.shape[2] and a.size and b.size:
-        share = np.maximum(*((image >= crops.CLIPPED_LEVEL).mean(axis=(0, 1)) for image in (a, b)))
+        share = np.maximum(*((image >= CLIPPED_LEVEL).mean(axis=(0, 1)) for image in (a, b)))
         contrast = np.abs(np.diff(b, axis=1)).mean(axis=(0, 1)) * np.maximum(
             1 - share / _CHANNEL_CLIPPED, 0
         )

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from cep.files.images import parse_gamma, read_detail, read_image, read_photo, write_image
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 
 
 @pytest.fixture

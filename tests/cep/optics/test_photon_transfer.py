@@ -9,7 +9,7 @@ import pytest
 from cep.optics.camera import Camera
 from cep.optics.frame_pairs import CodeRange, FramePair, find_code_range
 from cep.optics.photon_transfer import photon_transfer
-from motdiff.simulate import to_display, to_linear
+from motdiff.photo_values import to_display, to_linear
 
 LEVELS_E = (300, 1000, 3000, 6000, 9000)
 

@@ -12,8 +12,8 @@ from cep.restoration.clipping import fill_clipped, lights_cut
 from cep.restoration.registry import METHODS
 from cep.restoration.restore import restore
 from cep.restoration.result import misfit
-from motdiff.crops import clipped_mask
 from motdiff.metrics import psnr
+from motdiff.photo_values import clipped_mask
 from motdiff.simulate import blur_valid, photograph, visible
 from motdiff.trajectory import Trajectory
 

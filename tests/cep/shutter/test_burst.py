@@ -12,7 +12,8 @@ from cep.shutter.exposure_plan import ShotSettings
 from cep.shutter.shoot import shoot
 from hw.cameras.camera import CameraError
 from motdiff.metrics import psnr
-from motdiff.simulate import blur_valid, to_display
+from motdiff.photo_values import to_display
+from motdiff.simulate import blur_valid
 from motdiff.trajectory import Trajectory
 
 FPS = 240

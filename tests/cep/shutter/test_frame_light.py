@@ -5,7 +5,7 @@ import pytest
 
 from cep.shutter.frame_light import FrameLight
 from hw.cameras.camera import Frame
-from motdiff.crops import clipped_mask
+from motdiff.photo_values import clipped_mask
 
 
 def light_of(values, bits=12, black_level=None):

@@ -36,8 +36,8 @@ from lab.bench.psf_text import psf_from_text, psf_to_text
 from lab.jobs import fingerprint
 from lab.jobs.fingerprint import source_version
 from lab.weights import PATH_WEIGHTS, PSF_WEIGHTS
-from motdiff.crops import luminance
 from motdiff.metrics import mnc
+from motdiff.photo_values import luminance
 from motdiff.simulate import blur_symmetric, blur_valid, valid_window
 from motdiff.trajectory import Trajectory
 from motdiff.weights import DEFAULT_WEIGHTS, read_network_card
@@ -526,7 +526,7 @@ def test_every_method_has_a_version_of_its_own_code():
             "lab.bench.datasets",
             "cep.files.images",
             "motdiff.simulate",
-            "motdiff.crops",
+            "motdiff.photo_values",
             "motdiff.metrics",
         ),
         *("lab.evaluation.sets", "motdiff.trajectory", "lab.bench.blind.cells"),

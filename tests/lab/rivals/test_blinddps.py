@@ -24,7 +24,8 @@ from lab.rivals.blinddps import (
     write_prior,
 )
 from motdiff.metrics import mnc_subpixel
-from motdiff.simulate import blur_valid, to_display
+from motdiff.photo_values import to_display
+from motdiff.simulate import blur_valid
 
 CPU = torch.device("cpu")
 ALPHA_BAR = np.cumprod(1 - np.linspace(1e-4, 0.02, 1000))

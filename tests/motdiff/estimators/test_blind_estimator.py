@@ -8,10 +8,10 @@ import pytest
 import torch
 from threadpoolctl import threadpool_info
 
-from motdiff.crops import exposure_gain
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.blind_estimator import BlindEstimator, without_lights
 from motdiff.metrics import mnc_subpixel
+from motdiff.photo_values import exposure_gain
 from motdiff.psf_frame import without_faint_parts
 from motdiff.simulate import blur_valid
 from motdiff.tracing.path import is_tangled

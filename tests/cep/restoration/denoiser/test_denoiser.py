@@ -11,7 +11,7 @@ from skimage import data
 
 from cep.restoration.denoiser import network as denoiser
 from cep.restoration.denoiser.network import SCHEMA, SHIPPED, DenoisingNetwork, load_denoiser
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 from motdiff.weights_io import halved, read_card
 
 

@@ -8,7 +8,8 @@ from cep.optics.exposure import coded_psf
 from lab.trainings.dce.shipped_code import DCE_CODE
 from lab.trainings.dce.weights import WEIGHTS, read_card, restore
 from motdiff.motions import boracchi_foi, random_straight
-from motdiff.simulate import add_noise, blur_valid, to_linear, valid_window
+from motdiff.photo_values import to_linear
+from motdiff.simulate import add_noise, blur_valid, valid_window
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from lab.trainings.denoiser import samples
 from lab.trainings.denoiser.__main__ import run
 from lab.trainings.denoiser.samples import Photos
 from lab.trainings.denoiser.training import DenoiserTrainer, Settings, scene_strength, train
-from motdiff.simulate import to_linear
+from motdiff.photo_values import to_linear
 from motdiff.training.photos import load_photos
 from motdiff.weights_io import read_card
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from skimage import data
 
 from motdiff.path_psfs import slice_psfs
-from motdiff.simulate import photograph, to_linear
+from motdiff.photo_values import to_linear
+from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
 
 FloatArray = NDArray[np.float64]

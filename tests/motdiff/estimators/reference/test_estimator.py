@@ -14,7 +14,8 @@ from motdiff.estimators.reference.estimator import (
 )
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, quadratic
-from motdiff.simulate import blur_valid, photograph, to_linear
+from motdiff.photo_values import to_linear
+from motdiff.simulate import blur_valid, photograph
 
 SIGMA = 0.01
 
