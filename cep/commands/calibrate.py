@@ -132,7 +132,7 @@ def calibrate(options: CalibrateOptions) -> None:
     """Estimate the motion in a blurred photo, in each of a folder, or in several of one motion.
 
     A photo with an open shutter shows the path, but neither its order nor its direction in time.
-    Several, of any scenes, show it more surely: motdiff and pmp search them together, and say how
+    Several, of any scenes, show it more surely: blind methods search them together, and say how
     repeatable the motion is. Photos of the same motion through known codes (one may be open; cep
     calibration-set designs them) show its order.
 

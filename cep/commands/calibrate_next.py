@@ -11,6 +11,7 @@ from cep.commands.code_options import Device
 from cep.commands.console import printed_command
 from cep.commands.options import option
 from cep.search.chip_count import STANDARD_CHIPS
+from motdiff.estimators.registry import blind_methods
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -92,7 +93,8 @@ class NextOptions:
             )
         if not (is_blind or sources):
             raise ValueError(
-                "--next: needs --method motdiff or pmp for the first photo, and --code after it"
+                f"--next: needs --method {' or '.join(blind_methods())} for the first photo, and"
+                " --code after it"
             )
         if sources and method == "point":
             raise ValueError(

@@ -75,7 +75,7 @@ class Criterion(ABC):
     needs : tuple of str
         Fields of :class:`cep.search.problem.SearchProblem` that it depends on besides the motion.
     hot_db : float
-        Temperature at which an annealing of 26 chips starts: docs/decisions/search.md.
+        Temperature at which an annealing of 52 chips starts: docs/decisions/search.md.
     most_moves : int
         Moves of an annealing beyond which the best code hardly improves.
     averages : bool

@@ -8,10 +8,14 @@ from pathlib import Path
 from lab.bench.blind.cells import CEILINGS, FLOORS
 from lab.evaluation.methods import METHODS, RIVALS, named_estimators, split_weights
 from lab.jobs.fingerprint import source_version
+from motdiff.estimators.registry import blind_methods
 from motdiff.files.plugins import is_reference
 from motdiff.weights import CORRECTION_WEIGHTS, DEFAULT_WEIGHTS
 
-USUAL = ("pmp", "motdiff", *(name for name, rival in RIVALS.items() if rival.in_every_table))
+USUAL = (
+    *blind_methods(),
+    *(name for name, rival in RIVALS.items() if rival.in_every_table),
+)
 """Estimators of every table."""
 UNUSUAL = {name: rival.reason for name, rival in RIVALS.items() if rival.reason}
 """Estimators that are measured when named, and why only then."""

@@ -6,6 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from cep.restoration.registry import METHODS as RESTORATIONS
+from hw.export import EXPORTERS
+
 
 @dataclass(frozen=True)
 class Case:
@@ -244,7 +247,7 @@ CASES = [
             f"cep deblur colour_coded.png --linear 12 --code 110100101111 --method {method}"
             f"{' --photons 5000' if method in ('wiener', 'pnp') else ''} -o sharp_new.png --json",
         )
-        for method in ("wiener", "tv", "pnp")
+        for method in RESTORATIONS
     ],
     Case(
         "deblur-own",
@@ -318,21 +321,7 @@ CASES = [
         " path.json -o better --json",
     ),
     # export
-    *[
-        Case(f"export-{form}", f"cep export code.json --format {form}")
-        for form in (
-            "csv",
-            "json",
-            "vcd",
-            "c",
-            "arduino",
-            "rp2",
-            "pulsepal",
-            "scpi",
-            "camera",
-            "dmd",
-        )
-    ],
+    *[Case(f"export-{form}", f"cep export code.json --format {form}") for form in EXPORTERS],
     Case(
         "export-device-json",
         "cep export 110100101111 --format arduino --chip-ns 1000001 --device cxp-avr -o"

@@ -7,6 +7,7 @@ import re
 import signal
 import subprocess
 import sys
+from dataclasses import fields
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -23,7 +24,8 @@ from cep.files.images import read_image, read_photo, write_image
 from cep.files.psf_files import load_psf
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_otf, coded_psf
-from cep.proofs.measure import measure
+from cep.proofs.measure import CodeMetrics, measure
+from cep.restoration.registry import METHODS
 from hw.export import EXPORTERS
 from motdiff.files.trajectories import StoredMotion, read_motion, write_motion
 from motdiff.metrics import mnc_subpixel, psnr_up_to_shift
@@ -53,7 +55,7 @@ CAMERAS = ("camera list",)
 """Read a profile, and write no file."""
 FILE_WRITERS = ("camera estimate", "hw timing")
 GROUPED = (*CAMERAS, *FILE_WRITERS, *SHUTTER)
-METRICS = {"min_mtf", "min_chip", "noise_gain_db", "mse_db", "flatness_var", "dnf_db"}
+METRICS = {field.name for field in fields(CodeMetrics)}
 
 
 # -- the program itself ---------------------------------------------------------------------------
@@ -588,7 +590,7 @@ def test_deblur_with_a_psf_and_without_a_code(cep, workplace):
     from cep.files.psf_files import write_psf
 
     write_psf(".", read_motion("trajectory.json").trajectory.psf())
-    for method in ("wiener", "tv", "pnp"):
+    for method in METHODS:
         found = cep.succeeds(
             "deblur", "blurred.png", "--psf", "psf.npy", "--method", method, "-o", f"{method}.png"
         )

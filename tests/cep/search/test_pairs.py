@@ -21,7 +21,7 @@ from cep.search.expected import joint_psnr_db, light_noise
 from cep.search.limits import Limits, RunLimits
 from cep.search.optimize import optimize
 from cep.search.pairs import measure_pairs
-from cep.search.problem import SearchProblem
+from cep.search.problem import OBJECTIVES, SearchProblem
 from cep.search.verdict import verdict
 from motdiff.trajectory import Trajectory
 
@@ -43,7 +43,7 @@ def every_code(problem):
     return codes[problem.satisfied(codes)]
 
 
-@pytest.mark.parametrize("objective", ["mse", "noise", "min-mtf", "flatness"])
+@pytest.mark.parametrize("objective", sorted(OBJECTIVES))
 @pytest.mark.parametrize("path", [STRAIGHT, replace(arc(), direction="unknown")])
 def test_the_search_finds_the_best_of_all_pairs(path, objective):
     problem = pair(path, objective=objective)
@@ -52,7 +52,7 @@ def test_the_search_finds_the_best_of_all_pairs(path, objective):
     assert outcome.objective == pytest.approx(lowest, abs=1e-9)
 
 
-@pytest.mark.parametrize("objective", ["mse", "noise", "min-mtf", "flatness"])
+@pytest.mark.parametrize("objective", sorted(OBJECTIVES))
 def test_a_code_costs_as_much_as_its_complement(objective):
     problem = pair(arc(), objective=objective, direction="unknown")
     cost = CodeCost(problem, **FINE)

@@ -26,6 +26,7 @@ from cep.studio.serving import bound_socket
 from cep.studio.state import read_setting
 from cep.studio.uploads import Uploads
 from cep.studio.views import Views
+from hw.export import EXPORTERS
 
 SHOT = {"camera": "twin:", "port": "emulated", "release": ""}
 
@@ -193,10 +194,7 @@ def test_pins_are_compared_at_equal_length(client, setting):
     )
 
 
-@pytest.mark.parametrize(
-    "file_format",
-    ["csv", "json", "vcd", "c", "arduino", "rp2", "pulsepal", "scpi", "camera", "dmd"],
-)
+@pytest.mark.parametrize("file_format", sorted(EXPORTERS))
 def test_every_format_is_exported(client, setting, file_format):
     answer = client.post("/api/export", json={"setting": setting, "format": file_format})
     if answer.status_code == 422:  # what a format cannot hold is one sentence beside it

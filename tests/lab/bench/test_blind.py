@@ -598,7 +598,7 @@ def test_methods_are_checked_before_the_work(monkeypatch, tmp_path):
     ):
         select_methods(["parametric"])
     names, warnings = select_methods([])
-    assert names == ("pmp", "motdiff", "network", "psf-diffusion")
+    assert names == ("motdiff", "pmp", "network", "psf-diffusion")
     assert warnings == ["parametric is left out: none.safetensors is not in this package"]
 
 

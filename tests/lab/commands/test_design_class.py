@@ -60,7 +60,7 @@ def test_one_code_for_walks_and_for_shakes_of_a_recording(lab, workplace):
         (("walks", "--length", "0"), "--length: must lie within 1..1000 px, got 0"),
         (
             ("walks", "--objective", "min-mtf"),
-            "--objective: a class is searched by noise or mse",
+            "--objective: a class is searched by ",
         ),
         (("trajectory.json",), "trajectory.json: "),
     ],
