@@ -1,6 +1,7 @@
 """A restoration of the registry is in every list that the product and the laboratory have."""
 
 import inspect
+import re
 import subprocess
 import sys
 
@@ -45,6 +46,12 @@ def test_a_new_method_is_in_every_list():
 def test_the_front_door_names_them_all():
     for name in METHODS:
         assert f'"{name}"' in restore.__doc__, f"{name}: the docstring lacks it"
+
+
+@pytest.mark.parametrize("page", ["docs/theory/restoration.md", "docs/glossary.md"])
+def test_the_pages_name_them_all(pytestconfig, page):
+    text = (pytestconfig.rootpath / page).read_text(encoding="utf-8").lower()
+    assert {name for name in METHODS if not re.search(rf"\b{name}\b", text)} == set()
 
 
 @pytest.mark.parametrize("name", METHODS)

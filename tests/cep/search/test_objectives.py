@@ -45,6 +45,11 @@ def dummy():
     del OBJECTIVES["dummy"]
 
 
+def test_the_page_has_a_row_of_each(pytestconfig):
+    text = (pytestconfig.rootpath / "docs" / "theory" / "search.md").read_text(encoding="utf-8")
+    assert {name for name in OBJECTIVES if f"| `{name}`" not in text} == set()
+
+
 def test_each_says_what_it_is():
     for name, criterion in OBJECTIVES.items():
         assert isinstance(criterion, Criterion)

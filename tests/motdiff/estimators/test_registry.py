@@ -1,6 +1,7 @@
 """The registry of estimators: one that is added stands in every list."""
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import fields
@@ -94,6 +95,11 @@ def test_what_is_declared_is_what_the_estimator_has(name):
 def test_the_front_door_names_them_all():
     for name in METHODS:
         assert f'"{name}"' in estimate_motion.__doc__, f"{name}: the docstring lacks it"
+
+
+def test_the_tour_names_them_all(pytestconfig):
+    text = (pytestconfig.rootpath / "docs" / "tour.md").read_text(encoding="utf-8")
+    assert {name for name in METHODS if not re.search(rf"\b{name}\b", text)} == set()
 
 
 def test_one_that_is_added_stands_in_every_list(tmp_path, pytestconfig):
