@@ -110,7 +110,7 @@ class PhotoTrial:
         side_px = self.judged_px
         reaches_px = np.max([_reaches_px(psf) for psf in psfs], axis=0).tolist()
         scene_side = len(true_psfs[0]) - 1
-        photo_shape = [side_px + 2 * _border_px(reach) for reach in reaches_px]
+        photo_shape = [side_px + 2 * border_px(reach) for reach in reaches_px]
         scene = _middle(self.photographs[number], *(side + scene_side for side in photo_shape))
         rng = np.random.default_rng([self.seed, number, 2])
         cameras = [
@@ -143,7 +143,7 @@ class PhotoTrial:
 def grid_px(paths: Sequence[Trajectory]) -> int:
     """Pixels that a restoration of the largest photo has, of the open shutter along paths."""
     return max(
-        math.prod(JUDGED_PX + 2 * (_border_px(reach) + reach) for reach in _path_reaches_px(path))
+        math.prod(JUDGED_PX + 2 * (border_px(reach) + reach) for reach in _path_reaches_px(path))
         for path in paths
     )
 
@@ -153,7 +153,7 @@ def needed_px(paths: Sequence[Trajectory]) -> tuple[int, int]:
     sides = []
     for path in paths:
         reaches = _path_reaches_px(path)
-        sides.append([JUDGED_PX + 2 * (_border_px(reach) + max(reaches)) for reach in reaches])
+        sides.append([JUDGED_PX + 2 * (border_px(reach) + max(reaches)) for reach in reaches])
     height, width = np.max(sides, axis=0).tolist()
     return height, width
 
@@ -170,7 +170,8 @@ def _reaches_px(psf: FloatArray) -> tuple[int, int]:
     return int(rows), int(columns)
 
 
-def _border_px(reach_px: int) -> int:
+def border_px(reach_px: int) -> int:
+    """Pixels around what is judged, on each side, along an axis on which a PSF reaches so far."""
     return reach_px + min(_MOST_BORDER_PX, _LEAST_BORDER_PX + 2 * reach_px)
 
 

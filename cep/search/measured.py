@@ -23,6 +23,7 @@ from cep.photographs import scenes
 from cep.photographs.trial import PhotoTrial, grid_px
 from cep.search.expected import WORTH_DB
 from cep.search.exposures import CODED, Choice, Exposure
+from cep.search.frame_error import FrameError, is_framed
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -42,7 +43,7 @@ _OCTAVES = 0.5  # of the extent
 _BENT = 2.0  # straight and bent paths count half a step apart
 _FIRST_ROUNDS = (3, 6)  # photographs after which half of the candidates is left, and one
 _LENGTHS = 6  # of single exposures, the best by the model, that are tried
-_CODES = 4  # of the search's, the best by the model, that are tried
+_CODES = 4  # of the search's that are tried: the best by the model, or in a photo with borders
 _OWN_CODES = 3  # of the user's that are all measured on every photograph
 _USUAL_PX = 4e4  # of a restored photo; larger ones are restored from fewer photographs
 _LEAST_PHOTOGRAPHS = 4
@@ -104,7 +105,7 @@ def measured_exposures(
         seed=seed,
     )
     played = _played_by_two if problem.frames == 2 else _played
-    groups = _candidates(modelled, {code.bits for code in own_codes})
+    groups = _candidates(problem, modelled, {code.bits for code in own_codes})
     rounds = [*(number for number in _FIRST_ROUNDS if number < count), count]
     # the number of photos of each group in each round is known before
     planned = sum(_photos(len(group), rounds) for group in groups)
@@ -182,7 +183,9 @@ def corrected(exposure: Exposure, corrections: dict[Choice, float], share: float
     )
 
 
-def _candidates(modelled: Sequence[Exposure], own_bits: set[str]) -> list[list[Exposure]]:
+def _candidates(
+    problem: SearchProblem, modelled: Sequence[Exposure], own_bits: set[str]
+) -> list[list[Exposure]]:
     """Return groups of exposures that compete; a group of one is measured on all photographs."""
     by_model = sorted(modelled[1:], key=lambda exposure: -exposure.psnr_db)
     possible = [exposure for exposure in by_model if exposure.possible]
@@ -198,7 +201,11 @@ def _candidates(modelled: Sequence[Exposure], own_bits: set[str]) -> list[list[E
         groups += [[exposure] for exposure in user_exposures]
     else:
         groups.append(user_exposures)
-    codes = [exposure for exposure in possible if exposure.kind == "code"][:_CODES]
+    codes = [exposure for exposure in possible if exposure.kind == "code"]
+    if is_framed(problem):
+        errors_db = FrameError(problem).of_codes_db([exposure.code for exposure in codes])
+        codes = [codes[index] for index in np.argsort(errors_db, kind="stable")]
+    codes = codes[:_CODES]
     strobes = [exposure for exposure in possible if exposure.kind == "strobe"][:1]
     snapshots = [exposure for exposure in possible if exposure.kind == "snapshot"]
     best_of_length: dict[int, Exposure] = {}

@@ -1,0 +1,142 @@
+"""Expected error of a photo of finite size along a straight motion, with what lies beyond its
+border.
+
+An objective adds up errors frequency by frequency, as if a photo had no border. But light from
+beyond it falls into the photo, and where |H| is small what is unknown there reaches far into the
+middle. Codes that an objective puts within 0.1 dB differ by 4 dB for that reason, on photographs
+as well: ``python -m lab.studies.frame_error``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, toeplitz
+
+from cep.optics.code import ShutterCode
+from cep.optics.scene import Scene
+from cep.optics.straight_motion import straight_axis
+from cep.photographs.trial import JUDGED_PX, border_px
+from cep.search.expected import light_noise
+from cep.search.problem import SearchProblem
+from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
+
+LONGEST_PX = 128.0
+"""Extent of a motion beyond which the covariances of a photo take long."""
+
+_PIXELS = 12  # of the middle, in which the error is evaluated
+_PERIOD_PX = 4_096  # of the scene that a covariance is computed of
+# frequencies across the motion, denser near 0, where a scene's power is: more rank codes no better
+_ACROSS = 3
+
+
+def is_framed(problem: SearchProblem) -> bool:
+    """Whether :class:`FrameError` can judge codes: of one camera, along short straight motions."""
+    extents = [scenario.trajectory.extent_px for scenario in problem.scenarios]
+    short = bool(extents) and min(extents) > 0 and max(extents) <= LONGEST_PX
+    return short and problem.straight and problem.frames == 1
+
+
+class FrameError:
+    """Least mean square error in the middle of a photo, of codes along straight motions.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        One of :func:`is_framed`. The ramps of its shutter do not count.
+
+    Raises
+    ------
+    ValueError
+        If a motion is not straight.
+
+    Notes
+    -----
+    At a frequency v across the motion the scene is a stationary process x along it, of the
+    covariance ``r_v(d) = int S(u, v) cos(2 pi u d) du``, and the photo ``y = A x + n`` has M
+    pixels. The error is that of the best linear estimate of x, ``r_v(0) - c^T K^-1 c`` with
+    ``K = A R A^T + N`` and ``c = cov(y, x)``, integrated over v. K is Toeplitz, as the photo is
+    stationary too.
+    """
+
+    def __init__(self, problem: SearchProblem) -> None:
+        self.problem = problem
+        self._motions = [
+            _StraightMotion(scenario.trajectory, problem.chips, problem.scene)
+            for scenario in problem.scenarios
+        ]
+
+    def of_codes_db(self, codes: Sequence[ShutterCode]) -> FloatArray:
+        """Error of R codes, dB, (R,): along the worst motion."""
+        if not codes:
+            return np.empty(0)
+        problem = self.problem
+        played = [ShutterCode(code.bits, problem.chip_ns) for code in codes]
+        noise = light_noise(problem.camera, played, response=problem.response, scene=problem.scene)
+        errors = [
+            [motion.error(code.array, float(N)) for motion in self._motions]
+            for code, N in zip(codes, noise, strict=True)
+        ]
+        return np.asarray(10 * np.log10(np.max(errors, axis=1)))
+
+    def descended(self, code: ShutterCode) -> ShutterCode:
+        """Change single chips, and exchange neighbours, as long as that lowers the error."""
+        (lowest_db,) = self.of_codes_db([code])
+        while True:
+            neighbours = _neighbours(code.array.astype(np.int8))
+            allowed = neighbours[self.problem.satisfied(neighbours)]
+            candidates = [ShutterCode(bits, code.chip_ns) for bits in allowed]
+            errors_db = self.of_codes_db(candidates)
+            if errors_db.min(initial=lowest_db) >= lowest_db:
+                return code
+            lowest_db = errors_db.min()
+            code = candidates[errors_db.argmin()]
+
+
+class _StraightMotion:
+    """A motion through the chips of a code, and the scene's covariances along it."""
+
+    def __init__(self, path: Trajectory, chips: int, scene: Scene) -> None:
+        axis = straight_axis(path)
+        if axis is None:
+            raise ValueError("trajectory: must be straight")
+        along = path.xy @ axis
+        line = Trajectory(t=path.t, xy=np.stack([along, np.zeros_like(along)], axis=1))
+        size = line.frame_size() | 1
+        self.kernels = line.slice_psfs(np.linspace(0, 1, chips + 1), size).sum(axis=1)
+        self.photo_px = JUDGED_PX + 2 * border_px(int(np.ceil(np.abs(along).max())))
+        scene_px = self.photo_px + size - 1
+        middle = scene_px // 2 + np.linspace(-JUDGED_PX / 2, JUDGED_PX / 2, _PIXELS, dtype=int)
+        # lags of the blurred scene at the photo's pixels from those of the middle
+        self.lags = size - 1 - (middle[:, None] - np.arange(self.photo_px))
+        u = np.fft.fftfreq(_PERIOD_PX)
+        places = (np.arange(_ACROSS) + 0.5) / _ACROSS
+        self.weights = 3 * places**2 / _ACROSS  # v = t^3 / 2, on both sides of 0
+        powers = scene.power(u**2 + (places[:, None] ** 3 / 2) ** 2)
+        covariances = np.fft.ifft(powers).real[:, :scene_px]
+        self.covariances = np.concatenate([covariances[:, :0:-1], covariances], axis=1)
+
+    def error(self, chips: FloatArray, noise: float) -> float:
+        """Error of the best linear estimate through a code, with noise of that variance."""
+        M = self.photo_px
+        h = chips @ self.kernels
+        power = np.convolve(h, h[::-1])
+        total = 0.0
+        for weight, r in zip(self.weights, self.covariances, strict=True):
+            K = toeplitz(np.convolve(r, power, "valid")[M - 1 :])
+            K[np.diag_indices(M)] += noise
+            c = np.convolve(r, h, "valid")[self.lags + M - 1]
+            explained = np.einsum("ij,ji->i", c, cho_solve(cho_factor(K, lower=True), c.T))
+            total += weight * float(r[r.size // 2] - explained.mean())
+        return total
+
+
+def _neighbours(bits: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Codes with one other chip, or two different neighbours exchanged, (R, n)."""
+    single = np.eye(bits.size, dtype=np.int8)
+    pairs = single[:-1] | single[1:]
+    neighbours: NDArray[np.int8] = bits ^ np.concatenate([single, pairs[np.diff(bits) != 0]])
+    return neighbours

@@ -1,0 +1,133 @@
+"""Error in a photo with borders beside the objective: which of equal codes photographs prefer.
+
+    python -m lab.studies.frame_error PHOTOS [--count 8] [--codes 40] [--motions 8] [--seed 0]
+
+PHOTOS is a folder of sharp photographs that chose nothing: the verdict's own are bundled. Along
+straight motions of several lengths, first codes that are nearly equal by the objective, each of a
+search of its own: the correlation of objective and of error in a photo with the mean PSNR of the
+restored photographs, the standard deviation of that PSNR over the codes, and the gain over their
+mean of the code that each puts first. Then the code of ``cep optimize`` at drawn lengths, light
+and read noise, beside that of searches for less light, which it was before.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from unittest.mock import patch
+
+import numpy as np
+
+import cep
+from cep.photographs.trial import PhotoTrial
+from cep.search.chip_count import STANDARD_CHIPS, STANDARD_EXPOSURE_S
+from cep.search.cost import FINE, CodeCost
+from cep.search.exposures import ExposureFinder
+from cep.search.frame_error import FrameError
+from cep.search.problem import SearchProblem
+from lab.photo_gains.photographs import load_scenes
+from lab.studies.inputs import study_parser
+from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
+
+SIDE_PX = 420  # a photo of the longest motion and its borders
+EQUAL = ((107.0, 9_000.0, 14.0), (83.0, 12_600.0, 20.0), (60.0, 1e4, 10.0), (40.0, 3e4, 20.0))
+"""Length, px, photo-electrons at full scale and electrons of read noise."""
+LENGTHS_PX = (14.0, 120.0)  # shortest and longest of drawn motions
+PHOTONS = (3_000.0, 60_000.0)
+READ_NOISE_E = (5.0, 60.0)
+
+
+def problem_of(path: Trajectory, *, photons: float, read_noise_e: float) -> SearchProblem:
+    camera = cep.Camera(photons_full_scale=photons, read_noise_e=read_noise_e)
+    return cep.SearchProblem.along(
+        path,
+        chips=STANDARD_CHIPS,
+        camera=camera,
+        objective="mse",
+        exposure_s=STANDARD_EXPOSURE_S,
+    )
+
+
+def trial_of(problem: SearchProblem, scenes: list[FloatArray]) -> PhotoTrial:
+    return PhotoTrial(
+        problem.directed_paths(), scenes, camera=problem.camera, chip_ns=problem.chip_ns
+    )
+
+
+def compare_equal_codes(scenes: list[FloatArray], count: int) -> None:
+    """Print a row for each motion of :data:`EQUAL`."""
+    print(
+        "| length, px | objective, dB, best to worst | PSNR, standard deviation, dB"
+        " | correlation: objective, in a photo | gain of the first by: objective, in a photo, dB |"
+    )
+    print("|---:|---:|---:|---:|---:|")
+    for length_px, photons, read_noise_e in EQUAL:
+        path = Trajectory.straight(length_px)
+        problem = problem_of(path, photons=photons, read_noise_e=read_noise_e)
+        finder = ExposureFinder(problem)
+        found = [
+            code
+            for seed in range(count)
+            for code in finder.codes(problem.camera, (), seed=seed, threads=None)
+        ]
+        codes = [*dict.fromkeys(found)]
+        costs_db = CodeCost(problem, **FINE).cost_of(np.array([code.array for code in codes]))
+        errors_db = FrameError(problem).of_codes_db(codes)
+        levels_db = trial_of(problem, scenes).psnr_db(codes).mean(axis=1)
+        correlations = [np.corrcoef(-each, levels_db)[0, 1] for each in (costs_db, errors_db)]
+        gains_db = [levels_db[each.argmin()] - levels_db.mean() for each in (costs_db, errors_db)]
+        print(
+            f"| {length_px:g} | {costs_db.min():.2f} to {costs_db.max():.2f} |"
+            f" {levels_db.std():.2f} | {correlations[0]:+.2f}, {correlations[1]:+.2f} |"
+            f" {gains_db[0]:+.2f}, {gains_db[1]:+.2f} |",
+            flush=True,
+        )
+
+
+def compare_optimize(scenes: list[FloatArray], count: int, seed: int) -> None:
+    """Print a row for each of ``count`` drawn motions."""
+    print("| length, px | photo-electrons | read noise, e- | before, dB | now, dB | gain, dB |")
+    print("|---:|---:|---:|---:|---:|---:|")
+    rng = np.random.default_rng(seed)
+    gains_db = []
+    for _ in range(count):
+        length_px, photons, read_noise_e = (
+            float(np.exp(rng.uniform(*np.log(span))))
+            for span in (LENGTHS_PX, PHOTONS, READ_NOISE_E)
+        )
+        path = Trajectory.straight(length_px, angle_rad=float(rng.uniform(0, np.pi)))
+        problem = problem_of(path, photons=photons, read_noise_e=read_noise_e)
+        with (
+            patch("cep.search.optimize.is_framed", return_value=False),
+            patch("cep.search.measured.is_framed", return_value=False),
+        ):
+            before = cep.optimize(problem, seed=seed)
+        codes = [before.code, cep.optimize(problem, seed=seed).code]
+        before_db, now_db = trial_of(problem, scenes).psnr_db(codes).mean(axis=1)
+        gains_db.append(now_db - before_db)
+        print(
+            f"| {length_px:.0f} | {photons:,.0f} | {read_noise_e:.0f} | {before_db:.2f} |"
+            f" {now_db:.2f} | {now_db - before_db:+.2f} |",
+            flush=True,
+        )
+    mean_db = np.mean(gains_db)
+    error_db = np.std(gains_db, ddof=1) / np.sqrt(count)
+    print(f"| mean | | | | | {mean_db:+.2f} +- {error_db:.2f} |")
+
+
+def main() -> None:
+    parser = study_parser(__doc__)
+    parser.add_argument("photos", type=Path)
+    parser.add_argument("--count", type=int, default=8, help="photographs")
+    parser.add_argument("--codes", type=int, default=40, help="of each motion; 0 for none")
+    parser.add_argument("--motions", type=int, default=8, help="drawn for cep optimize")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    scenes = load_scenes(options.photos, side_px=SIDE_PX, count=options.count)
+    if options.codes:
+        compare_equal_codes(scenes, options.codes)
+    compare_optimize(scenes, options.motions, options.seed)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,106 @@
+"""The error in a photo with borders: against dense linear algebra, and on photographs."""
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+from skimage import data
+
+from cep.optics.camera import Camera
+from cep.optics.code import ShutterCode
+from cep.optics.exposure import coded_psf
+from cep.optics.scene import PHOTO, noise_variance
+from cep.photographs.trial import JUDGED_PX, PhotoTrial, border_px
+from cep.search.cost import FINE, CodeCost
+from cep.search.frame_error import FrameError, is_framed
+from cep.search.problem import SearchProblem, speed_range
+from motdiff.trajectory import Trajectory
+
+CAMERA = Camera(photons_full_scale=9_000, read_noise_e=14)
+# nearly equal by the objective
+STEADY = ShutterCode("0111110100001100000101000100100010001000010000100001")
+FRAGILE = ShutterCode("1100110001000000000010010010000001000011110000010101")
+
+
+def problem_of(length_px=107.0, chips=52, angle_rad=0.0, **options):
+    path = Trajectory.straight(length_px, angle_rad=angle_rad)
+    return SearchProblem.along(path, chips=chips, camera=CAMERA, objective="mse", **options)
+
+
+def test_it_is_the_error_of_dense_matrices():
+    problem = problem_of(12.0, chips=6)
+    code = ShutterCode("101100")
+    path = problem.scenarios[0].trajectory
+    size = path.frame_size() | 1
+    h = coded_psf(path, code, size).sum(axis=0)
+    pixels = JUDGED_PX + 2 * border_px(6)
+    scene_pixels = pixels + size - 1
+    # y[i] = sum_k h[k] x[i + size - 1 - k]
+    A = np.zeros((pixels, scene_pixels))
+    for i in range(pixels):
+        A[i, i : i + size] = h[::-1]
+    N = float(noise_variance(CAMERA, code.duty))
+    u = np.fft.fftfreq(4096)
+    first = scene_pixels // 2 - JUDGED_PX // 2
+    middle = np.linspace(first, first + JUDGED_PX, 12, dtype=int)
+    expected = 0.0
+    for t in (1 / 6, 1 / 2, 5 / 6):
+        R = toeplitz(np.fft.ifft(PHOTO.power(u**2 + (t**3 / 2) ** 2)).real[:scene_pixels])
+        rest = R - R @ A.T @ np.linalg.solve(A @ R @ A.T + N * np.eye(pixels), A @ R)
+        expected += t**2 * np.diag(rest)[middle].mean()
+    (error_db,) = FrameError(problem).of_codes_db([code])
+    assert error_db == pytest.approx(10 * np.log10(expected), abs=1e-6)
+
+
+def test_neither_angle_nor_order_in_time_matters():
+    mirrored = ShutterCode(STEADY.bits[::-1])
+    along = FrameError(problem_of()).of_codes_db([STEADY, mirrored])
+    across = FrameError(problem_of(angle_rad=np.pi / 2)).of_codes_db([STEADY])
+    assert along[0] == pytest.approx(along[1], abs=0.02)  # the middle is no sample's own
+    assert along[0] == pytest.approx(across[0], abs=1e-9)
+
+
+def test_the_worst_motion_counts():
+    path = Trajectory.straight(60.0)
+    both = SearchProblem.along(*speed_range(path, 0.8, 1.2, 2), chips=52, camera=CAMERA)
+    each = [
+        SearchProblem.along(path.scaled(factor), chips=52, camera=CAMERA) for factor in (0.8, 1.2)
+    ]
+    errors_db = [FrameError(problem).of_codes_db([STEADY])[0] for problem in each]
+    assert FrameError(both).of_codes_db([STEADY])[0] == pytest.approx(max(errors_db))
+
+
+def test_it_tells_codes_apart_as_photographs_do_where_the_objective_does_not():
+    problem = problem_of()
+    codes = [STEADY, FRAGILE]
+    objective_db = CodeCost(problem, **FINE).cost_of(np.array([code.array for code in codes]))
+    assert abs(np.diff(objective_db)[0]) < 0.05
+    assert np.diff(FrameError(problem).of_codes_db(codes))[0] > 1
+    photographs = [(data.camera() / 255.0) ** 2.2, (data.astronaut().mean(axis=2) / 255) ** 2.2]
+    trial = PhotoTrial(problem.directed_paths(), photographs, camera=CAMERA)
+    steady_db, fragile_db = trial.psnr_db(codes)
+    assert (steady_db > fragile_db + 1).all()
+
+
+def test_a_descent_lowers_the_error_within_the_limits():
+    problem = problem_of(40.0, chips=16, open_range=(6, 8))
+    in_frame = FrameError(problem)
+    start = ShutterCode("1111000011110000")
+    code = in_frame.descended(start)
+    assert problem.allows(code)
+    before_db, after_db = in_frame.of_codes_db([start, code])
+    assert after_db < before_db - 1
+    flips = [ShutterCode(np.abs(code.array - chip)) for chip in np.eye(16)]
+    near = [other for other in flips if problem.allows(other)]
+    assert near
+    assert in_frame.of_codes_db(near).min() >= after_db
+
+
+def test_which_problems_it_is_for():
+    arc = Trajectory.from_samples([[0, 0], [8, 1], [12, 7]])
+    assert is_framed(problem_of())
+    assert not is_framed(problem_of(200.0))
+    assert not is_framed(problem_of(40.0, frames=2))
+    assert not is_framed(SearchProblem.along(arc, chips=16))
+    assert not is_framed(SearchProblem(chips=16))
+    with pytest.raises(ValueError, match="straight"):
+        FrameError(SearchProblem.along(arc, chips=16))
