@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from operator import attrgetter
 from typing import Any, Literal
 
@@ -23,10 +24,11 @@ from cep.search.expected import (
     joint_psnr_db,
     light_noise,
 )
-from cep.search.frame_error import FrameError
+from cep.search.frame_error import FrameError, straightened
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.search_result import SearchResult
+from motdiff.threads import side_by_side
 
 Choice = Literal["open", "snapshot", "strobe", "code"]
 
@@ -217,7 +219,13 @@ class ExposureFinder:
         ]
 
     def codes(
-        self, camera: Camera, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
+        self,
+        camera: Camera,
+        starts: Sequence[ShutterCode],
+        *,
+        seed: int,
+        threads: int | None,
+        swaps: bool = True,
     ) -> list[ShutterCode]:
         """Return the code that :meth:`search` finds, in a list; an empty one for none.
 
@@ -226,7 +234,7 @@ class ExposureFinder:
         KeyboardInterrupt
             After Ctrl-C.
         """
-        outcome = self.search(camera, starts, seed=seed, threads=threads)
+        outcome = self.search(camera, starts, seed=seed, threads=threads, swaps=swaps)
         if outcome is None:
             return []
         if outcome.stopped == "interrupted":
@@ -246,15 +254,23 @@ class ExposureFinder:
         KeyboardInterrupt
             After Ctrl-C.
         """
-        problem = self._fast.problem
+        problem = recordable(self._fast.problem, single=False)
+        if problem is None:
+            return []
+        finder = self
+        if not problem.straight:  # along a line the searches are many times as quick
+            finder = ExposureFinder(straightened(problem))
         codes = [code for code in starts if problem.allows(code)]
         for number in range(_SEARCHES):
-            codes += self.codes(problem.camera, (), seed=seed + number, threads=threads)
+            codes += finder.codes(
+                problem.camera, (), seed=seed + number, threads=threads, swaps=False
+            )
         codes = [*dict.fromkeys(codes)]
         in_frame = FrameError(problem)
         order = np.argsort(in_frame.of_codes_db(codes), kind="stable")
         best = [codes[index] for index in order[:_DESCENTS]]
-        return [*dict.fromkeys(in_frame.descended(code) for code in best)]
+        descents = [partial(in_frame.descended, code) for code in best]
+        return [*dict.fromkeys(side_by_side(descents))]
 
     def search(
         self,
@@ -264,11 +280,13 @@ class ExposureFinder:
         seed: int,
         threads: int | None,
         time_s: float = math.inf,
+        swaps: bool = True,
     ) -> SearchResult | None:
         """Search the code of least expected error; None where every code would saturate.
 
         A snapshot may have less noise from dark current. It is charged that of a code here, or the
         search would end on it. The time or Ctrl-C ends the search with the best code so far.
+        Without ``swaps`` it is polished by flips alone.
         """
         unsaturated = recordable(replace(self._judge.problem, camera=camera), single=False)
         if unsaturated is None:
@@ -284,7 +302,7 @@ class ExposureFinder:
             threads=threads,
             judge=self._judge.for_problem(charged),
             coarse=self._coarse.for_problem(charged),
-            swaps=self._swaps,
+            swaps=swaps and self._swaps,
         )
 
 

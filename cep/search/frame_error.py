@@ -9,16 +9,17 @@ as well: ``python -m lab.studies.frame_error``.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 
 from cep.optics.code import ShutterCode
 from cep.optics.scene import Scene
-from cep.optics.straight_motion import straight_axis
 from cep.photographs.trial import JUDGED_PX, border_px
+from cep.proofs.mtf_curves import main_axis
 from cep.search.expected import light_noise
 from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
@@ -27,6 +28,7 @@ from motdiff.types import FloatArray
 LONGEST_PX = 128.0
 """Extent of a motion beyond which the covariances of a photo take long."""
 
+_WIDEST_PX = 1.0  # of a path that counts as straight
 _PIXELS = 12  # of the middle, in which the error is evaluated
 _PERIOD_PX = 4_096  # of the scene that a covariance is computed of
 # frequencies across the motion, denser near 0, where a scene's power is: more rank codes no better
@@ -34,10 +36,19 @@ _ACROSS = 3
 
 
 def is_framed(problem: SearchProblem) -> bool:
-    """Whether :class:`FrameError` can judge codes: of one camera, along short straight motions."""
-    extents = [scenario.trajectory.extent_px for scenario in problem.scenarios]
-    short = bool(extents) and min(extents) > 0 and max(extents) <= LONGEST_PX
-    return short and problem.straight and problem.frames == 1
+    """Whether :class:`FrameError` can judge codes: of one camera, along short straight motions.
+
+    An estimated path is never quite straight: it may be up to a pixel wide.
+    """
+    paths = [scenario.trajectory for scenario in problem.scenarios]
+    framed = [0 < path.extent_px <= LONGEST_PX and _width_px(path) <= _WIDEST_PX for path in paths]
+    return problem.frames == 1 and bool(paths) and all(framed)
+
+
+def straightened(problem: SearchProblem) -> SearchProblem:
+    """Return a problem of :func:`is_framed` along the lines that its paths nearly are."""
+    lines = [replace(s, trajectory=_line(s.trajectory)) for s in problem.scenarios]
+    return replace(problem, scenarios=tuple(lines))
 
 
 class FrameError:
@@ -47,11 +58,6 @@ class FrameError:
     ----------
     problem : SearchProblem
         One of :func:`is_framed`. The ramps of its shutter do not count.
-
-    Raises
-    ------
-    ValueError
-        If a motion is not straight.
 
     Notes
     -----
@@ -65,8 +71,8 @@ class FrameError:
     def __init__(self, problem: SearchProblem) -> None:
         self.problem = problem
         self._motions = [
-            _StraightMotion(scenario.trajectory, problem.chips, problem.scene)
-            for scenario in problem.scenarios
+            _StraightMotion(path, problem.chips, problem.scene)
+            for path in problem.directed_paths()
         ]
 
     def of_codes_db(self, codes: Sequence[ShutterCode]) -> FloatArray:
@@ -83,31 +89,33 @@ class FrameError:
         return np.asarray(10 * np.log10(np.max(errors, axis=1)))
 
     def descended(self, code: ShutterCode) -> ShutterCode:
-        """Change single chips, and exchange neighbours, as long as that lowers the error."""
+        """Change single chips, and neighbours together, as long as that lowers the error."""
+        single = np.eye(code.chips, dtype=np.int8)
+        changes = np.concatenate([single, single[:-1] | single[1:]])
         (lowest_db,) = self.of_codes_db([code])
-        while True:
-            neighbours = _neighbours(code.array.astype(np.int8))
-            allowed = neighbours[self.problem.satisfied(neighbours)]
-            candidates = [ShutterCode(bits, code.chip_ns) for bits in allowed]
-            errors_db = self.of_codes_db(candidates)
-            if errors_db.min(initial=lowest_db) >= lowest_db:
-                return code
-            lowest_db = errors_db.min()
-            code = candidates[errors_db.argmin()]
+        without_gain = 0
+        for change in itertools.cycle(changes):
+            bits = code.array.astype(np.int8) ^ change
+            without_gain += 1
+            if self.problem.satisfied(bits[None])[0]:
+                candidate = ShutterCode(bits, code.chip_ns)
+                (error_db,) = self.of_codes_db([candidate])
+                if error_db < lowest_db:
+                    code, lowest_db = candidate, error_db
+                    without_gain = 0
+            if without_gain == len(changes):
+                break
+        return code
 
 
 class _StraightMotion:
     """A motion through the chips of a code, and the scene's covariances along it."""
 
     def __init__(self, path: Trajectory, chips: int, scene: Scene) -> None:
-        axis = straight_axis(path)
-        if axis is None:
-            raise ValueError("trajectory: must be straight")
-        along = path.xy @ axis
-        line = Trajectory(t=path.t, xy=np.stack([along, np.zeros_like(along)], axis=1))
+        line = _line(path)
         size = line.frame_size() | 1
         self.kernels = line.slice_psfs(np.linspace(0, 1, chips + 1), size).sum(axis=1)
-        self.photo_px = JUDGED_PX + 2 * border_px(int(np.ceil(np.abs(along).max())))
+        self.photo_px = JUDGED_PX + 2 * border_px(int(np.ceil(np.abs(line.x).max())))
         scene_px = self.photo_px + size - 1
         middle = scene_px // 2 + np.linspace(-JUDGED_PX / 2, JUDGED_PX / 2, _PIXELS, dtype=int)
         # lags of the blurred scene at the photo's pixels from those of the middle
@@ -134,9 +142,13 @@ class _StraightMotion:
         return total
 
 
-def _neighbours(bits: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Codes with one other chip, or two different neighbours exchanged, (R, n)."""
-    single = np.eye(bits.size, dtype=np.int8)
-    pairs = single[:-1] | single[1:]
-    neighbours: NDArray[np.int8] = bits ^ np.concatenate([single, pairs[np.diff(bits) != 0]])
-    return neighbours
+def _line(path: Trajectory) -> Trajectory:
+    """Move along the x axis as a path does along its main axis."""
+    along = path.xy @ main_axis(path)
+    return replace(path, xy=np.stack([along, np.zeros_like(along)], axis=1))
+
+
+def _width_px(path: Trajectory) -> float:
+    """Extent of a path across its main axis."""
+    x, y = main_axis(path)
+    return float(np.ptp(path.xy @ [-y, x]))

@@ -102,5 +102,15 @@ def test_which_problems_it_is_for():
     assert not is_framed(problem_of(40.0, frames=2))
     assert not is_framed(SearchProblem.along(arc, chips=16))
     assert not is_framed(SearchProblem(chips=16))
-    with pytest.raises(ValueError, match="straight"):
-        FrameError(SearchProblem.along(arc, chips=16))
+    nearly = Trajectory.from_samples([[0, 0], [20, 0.8], [40, 0]])
+    assert is_framed(SearchProblem.along(nearly, chips=16))
+
+
+def test_a_path_that_is_nearly_straight_counts_as_straight():
+    nearly = Trajectory.from_samples([[0, 0], [20, 0.2], [40, 0]])
+    codes = [ShutterCode("1011000111010010"), ShutterCode("1111000011110000")]
+    straight_db = FrameError(problem_of(40.0, chips=16)).of_codes_db(codes)
+    nearly_db = FrameError(
+        SearchProblem.along(nearly, chips=16, camera=CAMERA, objective="mse")
+    ).of_codes_db(codes)
+    np.testing.assert_allclose(nearly_db, straight_db, atol=0.1)
