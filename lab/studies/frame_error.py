@@ -65,12 +65,12 @@ def compare_equal_codes(scenes: list[FloatArray], count: int) -> None:
         path = Trajectory.straight(length_px)
         problem = problem_of(path, photons=photons, read_noise_e=read_noise_e)
         finder = ExposureFinder(problem)
-        found = [
+        searched = [
             code
             for seed in range(count)
             for code in finder.codes(problem.camera, (), seed=seed, threads=None)
         ]
-        codes = [*dict.fromkeys(found)]
+        codes = [*dict.fromkeys(searched)]
         costs_db = CodeCost(problem, **FINE).cost_of(np.array([code.array for code in codes]))
         errors_db = FrameError(problem).of_codes_db(codes)
         levels_db = trial_of(problem, scenes).psnr_db(codes).mean(axis=1)
