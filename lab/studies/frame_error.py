@@ -74,8 +74,12 @@ def compare_equal_codes(scenes: list[FloatArray], count: int) -> None:
         costs_db = CodeCost(problem, **FINE).cost_of(np.array([code.array for code in codes]))
         errors_db = FrameError(problem).of_codes_db(codes)
         levels_db = trial_of(problem, scenes).psnr_db(codes).mean(axis=1)
-        correlations = [np.corrcoef(-each, levels_db)[0, 1] for each in (costs_db, errors_db)]
-        gains_db = [levels_db[each.argmin()] - levels_db.mean() for each in (costs_db, errors_db)]
+        correlations = [
+            np.corrcoef(-error_db, levels_db)[0, 1] for error_db in (costs_db, errors_db)
+        ]
+        gains_db = [
+            levels_db[error_db.argmin()] - levels_db.mean() for error_db in (costs_db, errors_db)
+        ]
         print(
             f"| {length_px:g} | {costs_db.min():.2f} to {costs_db.max():.2f} |"
             f" {levels_db.std():.2f} | {correlations[0]:+.2f}, {correlations[1]:+.2f} |"
@@ -101,8 +105,8 @@ def compare_optimize(scenes: list[FloatArray], count: int, seed: int) -> None:
             patch("cep.search.optimize.is_framed", return_value=False),
             patch("cep.search.measured.is_framed", return_value=False),
         ):
-            before = cep.optimize(problem, seed=seed)
-        codes = [before.code, cep.optimize(problem, seed=seed).code]
+            former = cep.optimize(problem, seed=seed)
+        codes = [former.code, cep.optimize(problem, seed=seed).code]
         before_db, now_db = trial_of(problem, scenes).psnr_db(codes).mean(axis=1)
         gains_db.append(now_db - before_db)
         print(
