@@ -20,10 +20,14 @@ OPEN = "open shutter"
 
 
 def main_axis(trajectory: Trajectory) -> FloatArray:
-    """Return the unit vector (2,) along which the motion spreads most, weighted by time."""
+    """Return the unit vector (2,) along which the motion spreads most, weighted by time.
+
+    Its larger component is positive.
+    """
     samples = trajectory.at(np.linspace(0, 1, 501))
     values, vectors = np.linalg.eigh(np.cov(samples.T))
-    return np.asarray(vectors[:, int(np.argmax(values))], dtype=np.float64)
+    axis = np.asarray(vectors[:, int(np.argmax(values))], dtype=np.float64)
+    return np.asarray(np.copysign(1.0, axis[np.argmax(np.abs(axis))]) * axis)
 
 
 def mtf_curve(trajectory: Trajectory, code: ShutterCode | None) -> tuple[FloatArray, FloatArray]:
