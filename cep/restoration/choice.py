@@ -257,7 +257,8 @@ def looks_linear(photo: ArrayLike, psf: ArrayLike) -> bool:
 
     Examples
     --------
-    >>> from motdiff.simulate import blur_valid, to_linear
+    >>> from motdiff.photo_values import to_linear
+    >>> from motdiff.simulate import blur_valid
     >>> scene = np.kron(np.random.default_rng(0).random((16, 16)), np.ones((10, 10)))
     >>> kernel = np.pad(np.full((1, 9), 1 / 9), ((4, 4), (0, 0)))
     >>> light = blur_valid(scene, kernel)
