@@ -21,7 +21,7 @@ from cep.search.exposures import (
     check_light,
     judged_exposures,
 )
-from cep.search.frame_error import is_framed
+from cep.search.frame_error import codes_of_a_frame, is_framed
 from cep.search.measured import corrections_db, is_measured, measured_exposures, shifts_db
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict, check_codes, expectation
@@ -219,7 +219,7 @@ def advise(
         pool += [*ordinary, *finder.codes(camera, [*ordinary, *pool], seed=seed, threads=threads)]
     if is_framed(problem) and is_measured(problem, photographs):
         progress(len(cameras) / parts, "searching for photos with borders")
-        pool += finder.codes_of_a_frame(pool, seed=seed, threads=threads)
+        pool += codes_of_a_frame(problem, pool, seed=seed, threads=threads)
     progress(len(cameras) / parts, "judging")
     # every code is judged at every level: one found for another light may be better here
     judgements = judged_exposures(problem, cameras, pool, path_error_px=path_error_px)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from operator import attrgetter
 from typing import Any, Literal
 
@@ -24,11 +23,9 @@ from cep.search.expected import (
     joint_psnr_db,
     light_noise,
 )
-from cep.search.frame_error import FrameError, straightened
 from cep.search.limits import RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.search_result import SearchResult
-from motdiff.threads import side_by_side
 
 Choice = Literal["open", "snapshot", "strobe", "code"]
 
@@ -61,9 +58,6 @@ _LONG_OVERSAMPLING = 4
 _LONG_ACROSS = 6  # nodes across it: within 0.03 dB of twelve
 _SWAPS_WORK = 5_000_000  # terms of all swaps of two chips; beyond, only single flips polish a code
 _MOVES = 100_000  # of a search at one light level; four times as many gain less than 0.05 dB
-# of straight motions, of which the best in a photo are chosen, and so many are improved
-_SEARCHES = 12
-_DESCENTS = 3
 _MOST_RUNS = 1_000  # single exposures that are all judged where every length is asked for
 _LENGTHS = 24  # else so many lengths and starts
 _STARTS = 16
@@ -240,37 +234,6 @@ class ExposureFinder:
         if outcome.stopped == "interrupted":
             raise KeyboardInterrupt
         return [outcome.code]
-
-    def codes_of_a_frame(
-        self, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
-    ) -> list[ShutterCode]:
-        """Search codes of straight motions anew, and return the best in photos of finite size.
-
-        They are nearly equal by the expected error, and are not where a photo has a border
-        (:mod:`cep.search.frame_error`).
-
-        Raises
-        ------
-        KeyboardInterrupt
-            After Ctrl-C.
-        """
-        problem = recordable(self._fast.problem, single=False)
-        if problem is None:
-            return []
-        finder = self
-        if not problem.straight:  # along a line the searches are many times as quick
-            finder = ExposureFinder(straightened(problem))
-        codes = [code for code in starts if problem.allows(code)]
-        for number in range(_SEARCHES):
-            codes += finder.codes(
-                problem.camera, (), seed=seed + number, threads=threads, swaps=False
-            )
-        codes = [*dict.fromkeys(codes)]
-        in_frame = FrameError(problem)
-        order = np.argsort(in_frame.of_codes_db(codes), kind="stable")
-        best = [codes[index] for index in order[:_DESCENTS]]
-        descents = [partial(in_frame.descended, code) for code in best]
-        return [*dict.fromkeys(side_by_side(descents))]
 
     def search(
         self,

@@ -12,6 +12,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, toeplitz
@@ -21,13 +22,17 @@ from cep.optics.scene import Scene
 from cep.photographs.trial import JUDGED_PX, border_px
 from cep.proofs.mtf_curves import main_axis
 from cep.search.expected import light_noise
+from cep.search.exposures import ExposureFinder, recordable
 from cep.search.problem import SearchProblem
+from motdiff.threads import side_by_side
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 LONGEST_PX = 128.0
 """Extent of a motion beyond which the covariances of a photo take long."""
 
+_SEARCHES = 12
+_DESCENTS = 3
 _WIDEST_PX = 1.0  # of a path that counts as straight
 _PIXELS = 12  # of the middle, in which the error is evaluated
 _PERIOD_PX = 4_096  # of the scene that a covariance is computed of
@@ -45,10 +50,41 @@ def is_framed(problem: SearchProblem) -> bool:
     return problem.frames == 1 and bool(paths) and all(framed)
 
 
-def straightened(problem: SearchProblem) -> SearchProblem:
-    """Return a problem of :func:`is_framed` along the lines that its paths nearly are."""
-    lines = [replace(s, trajectory=_line(s.trajectory)) for s in problem.scenarios]
-    return replace(problem, scenarios=tuple(lines))
+def codes_of_a_frame(
+    problem: SearchProblem, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
+) -> list[ShutterCode]:
+    """Search codes that are the best in photos with borders.
+
+    Several searches by the expected error end at codes that are nearly equal by it; the best of
+    them in a photo are improved.
+
+    Parameters
+    ----------
+    problem : SearchProblem
+        One of :func:`is_framed`.
+    starts : sequence of ShutterCode
+        Codes that compete with those of the searches.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        After Ctrl-C.
+    """
+    unsaturated = recordable(problem, single=False)
+    if unsaturated is None:
+        return []
+    # along exact lines the searches are many times as quick
+    lines = [replace(s, trajectory=_line(s.trajectory)) for s in unsaturated.scenarios]
+    along_lines = replace(unsaturated, scenarios=tuple(lines))
+    finder = ExposureFinder(unsaturated if unsaturated.straight else along_lines)
+    codes = [code for code in starts if unsaturated.allows(code)]
+    for number in range(_SEARCHES):
+        codes += finder.codes(problem.camera, (), seed=seed + number, threads=threads, swaps=False)
+    codes = [*dict.fromkeys(codes)]
+    in_frame = FrameError(unsaturated)
+    order = np.argsort(in_frame.of_codes_db(codes), kind="stable")
+    descents = [partial(in_frame.descended, codes[index]) for index in order[:_DESCENTS]]
+    return [*dict.fromkeys(side_by_side(descents))]
 
 
 class FrameError:

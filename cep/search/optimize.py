@@ -22,7 +22,8 @@ from cep.search.code_search import (
 from cep.search.cost import FINE, CodeCost
 from cep.search.exhaustive.exact import codes_to_count
 from cep.search.exposures import ExposureFinder, check_light
-from cep.search.frame_error import is_framed
+from cep.search.frame_error import codes_of_a_frame, is_framed
+from cep.search.measured import is_measured
 from cep.search.optimized_code import OptimizedCode, described, stored_code
 from cep.search.playable import unplayable
 from cep.search.problem import SearchProblem
@@ -116,7 +117,10 @@ def optimize(
     measuring(0.0, _MEASURING)
     costs_db: dict[ShutterCode, float] = {}
     if problem.objective == "mse" and search.stopped == "steps" and problem.frames == 1:
-        codes = _other_codes(problem, search, seed=seed, threads=threads)
+        if is_framed(problem) and is_measured(problem, photographs):
+            codes = codes_of_a_frame(problem, [search.code], seed=seed, threads=threads)
+        else:
+            codes = _for_less_light(problem, search.code, seed=seed, threads=threads)
         costs_db = _within(problem, search, codes)
     judgement = verdict(
         problem,
@@ -174,15 +178,13 @@ def _part(progress: Progress, first: float, last: float) -> Progress:
     return lambda share, note: progress(first + (last - first) * share, note)
 
 
-def _other_codes(
-    problem: SearchProblem, search: SearchResult, *, seed: int, threads: int | None
+def _for_less_light(
+    problem: SearchProblem, code: ShutterCode, *, seed: int, threads: int | None
 ) -> list[ShutterCode]:
-    """Search codes that stand better what is unknown beyond the border of a photo."""
+    """Search codes for less light, which stand more noise, and what is unknown beyond borders."""
     finder = ExposureFinder(problem)
     camera = problem.camera
-    starts = [search.code]
-    if is_framed(problem):
-        return finder.codes_of_a_frame(starts, seed=seed, threads=threads)
+    starts = [code]
     # each search starts from the codes for more light: they are near
     for factor in _LESS_LIGHT:
         darker = camera.at(max(camera.photons_full_scale / factor, LIGHT_RANGE[0]))
@@ -193,10 +195,7 @@ def _other_codes(
 def _within(
     problem: SearchProblem, search: SearchResult, codes: Sequence[ShutterCode]
 ) -> dict[ShutterCode, float]:
-    """Return the codes that no baseline beats by the objective, with their cost, dB.
-
-    The limits are kept by all of them.
-    """
+    """Return the codes within the limits that no baseline beats, with their cost, dB."""
     rivals = [replace(code, chip_ns=problem.chip_ns) for code in dict.fromkeys(codes)]
     if not rivals:
         return {}
