@@ -64,6 +64,15 @@ def test_step_by_step(cep, controller):
     assert cep.succeeds("hw", "abort", *port)["state"] == "loaded"
 
 
+def test_the_device_states_its_limits_in_nanoseconds(cep, controller):
+    shown = cep.succeeds("hw", "info", "--port", controller.port)
+    with Controller.open(controller.port) as opened:
+        hello = opened.announced
+    tick_ns = hello.tick_ns
+    assert shown["min_chip_ns"] == hello.min_ticks * tick_ns > tick_ns
+    assert shown["max_chip_ns"] == hello.max_ticks * tick_ns > shown["min_chip_ns"]
+
+
 def test_pages_for_people(cep, controller):
     port = ("--port", controller.port)
     for words, expected in [

@@ -10,7 +10,7 @@ import pytest
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.plots.advice import advice_figure
-from cep.plots.canvas import COLOURS, png_bytes, save
+from cep.plots.canvas import COLOURS, png_bytes, save, thumbnail
 from cep.plots.codes import code_strips, mtf_figure
 from cep.plots.photos import before_after, psf_figure, trajectory_figure
 from cep.search.advise import Advice, advise
@@ -204,3 +204,11 @@ def test_gains_over_the_light_name_the_ways_that_the_limits_leave(open_range, na
     (axes,) = advice_figure(advise(problem, levels=[1000.0, 10_000.0])).axes
     legend = axes.get_legend()
     assert names == ({text.get_text() for text in legend.get_texts()} if legend else set())
+
+
+def test_a_thumbnail_is_of_whole_boxes_as_bright_as_they_are():
+    image = np.random.default_rng(2).uniform(size=(7, 9, 3))
+    small = thumbnail(image, 3)
+    assert small.shape == (2, 3, 3)
+    np.testing.assert_allclose(small[1, 2], image[3:6, 6:9].mean(axis=(0, 1)))
+    np.testing.assert_array_equal(thumbnail(image, 9), image)

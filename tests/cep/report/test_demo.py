@@ -131,7 +131,10 @@ def test_the_photos_of_a_set_are_searched_on_the_same_crop(monkeypatch):
     crops = []
     monkeypatch.setattr("cep.estimate_motion", lambda photos, **_options: crops.extend(photos))
     scene = small_scene(CODED)
-    photos = find_motion(scene, CODED, exposure_s=0.03).photos
+    motion = find_motion(scene, CODED, exposure_s=0.03)
+    photos = motion.photos
+    for code in motion.codes:  # each lasts as long as the exposure, whatever its chips
+        assert code.chips * code.chip_ns == pytest.approx(0.03e9, abs=code.chips)
     assert {crop.shape for crop in crops} == {(192, 192, 3)}
     height, width = np.subtract(scene.photo.shape[:2], 191)
     places = [

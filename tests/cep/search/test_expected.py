@@ -17,8 +17,9 @@ from cep.search.expected import (
     equal_light_noise,
     joint_psnr_db,
     light_noise,
+    worst_psnr_db,
 )
-from cep.search.problem import SearchProblem
+from cep.search.problem import Scenario, SearchProblem
 from motdiff.motions import boracchi_foi, with_smooth_error
 from motdiff.trajectory import Trajectory
 
@@ -200,3 +201,13 @@ def test_frames_along_an_unknown_direction_are_as_good_as_along_the_worse_one():
         for one in (replace(path, direction="unknown"), *ways)
     )
     assert both == pytest.approx(np.minimum(*each))
+
+
+def test_motions_count_by_the_worst_or_by_their_weights():
+    short, long = (Scenario(Trajectory.straight(px), weight=w) for px, w in [(6, 3), (9, 1)])
+    errors = [[np.array([1e-3, 1e-2])], [np.array([1e-1, 1e-4]), np.array([1e-2, 1e-2])]]
+    worst = SearchProblem(chips=9, scenarios=(short, long), rule="worst")
+    # of the second motion the worse direction: 10 and 20 dB
+    np.testing.assert_allclose(worst_psnr_db(worst, errors), [10, 20])
+    mean = replace(worst, rule="mean")
+    np.testing.assert_allclose(worst_psnr_db(mean, errors), [(3 * 30 + 10) / 4, 20])
