@@ -1,5 +1,6 @@
 """Processes that end with the one that started them, even when it is killed."""
 
+import subprocess
 import sys
 
 import pytest
@@ -36,6 +37,16 @@ def drawn(mix, seed, indices):
 motion_bank._drawn_rows = drawn
 motion_bank.build_bank(None, count=1000, seed=0, workers=2)
 """
+
+
+def test_a_process_with_a_living_parent_is_left_alone():
+    lives_on = """
+import os, time
+from motdiff.processes import end_with_parent
+end_with_parent(os.getppid())
+time.sleep(0.7)
+"""
+    assert subprocess.run([sys.executable, "-c", lives_on], timeout=60, check=False).returncode == 0
 
 
 @pytest.mark.slow(reason="processes that load the library")

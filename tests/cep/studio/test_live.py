@@ -113,6 +113,7 @@ def test_a_live_photo_is_the_middle_of_the_one_that_capture_takes():
     rows, columns = ((size - 40) // 2 for size in whole.shape[:2])
     photo = bench.photo(CODE, LiveScene(light), side_px=40)
     assert photo == pytest.approx(whole[rows : rows + 40, columns : columns + 40], abs=2e-4)
+    assert bench.photo(CODE, LiveScene(light), side_px=1000) == pytest.approx(whole, abs=2e-4)
     with pytest.raises(ValueError, match="psf"):
         bench.photo(CODE, LiveScene(light[:10]), side_px=40)
 

@@ -240,6 +240,17 @@ def test_refused_request_changes_nothing_and_is_not_repeated():
         assert device.plays == []
 
 
+@pytest.mark.parametrize("last", [Op.STATUS, Op.ABORT])
+def test_an_error_aborts_what_is_loaded_unless_it_was_aborted(last):
+    with CxpController() as device:
+        controller = Controller.open(device.port, **FAST)
+        with pytest.raises(ZeroDivisionError), controller.link:
+            controller.upload(PROGRAM)
+            controller.link.request(last)
+            raise ZeroDivisionError
+        assert device.ops.count(Op.ABORT) == 1
+
+
 def test_endless_garbage_does_not_hang():
     class Firehose(ScriptedPort):
         in_waiting = 4096

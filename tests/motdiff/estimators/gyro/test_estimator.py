@@ -47,6 +47,7 @@ def test_psf_from_readings_at_200_hz(seed: int, noise_rad_s: float) -> None:
     t = np.linspace(0, 1, 50)
     assert np.abs(found.at(t) - path.at(t)).max() < 0.03 * path.extent_px + 0.3
     assert estimate.confidence > 0.5
+    assert estimate.details["sample_rate_hz"] == pytest.approx(200)
     json.dumps(estimate.details, allow_nan=False)
 
 
