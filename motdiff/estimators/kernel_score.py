@@ -123,6 +123,8 @@ class Spectrum:
     def _ripples(self, power: FloatArray) -> FloatArray:
         # 3 x 3 means tame the exponential scatter of a periodogram
         smooth = ndimage.uniform_filter(power, 3, mode=("wrap", "mirror"))
+        # its running sums round below 0 where a pattern leaves next to nothing
+        smooth = np.maximum(smooth, np.finfo(np.float64).eps * power.max())
         log_power = np.log(smooth)[self._in_band]
         return np.asarray(log_power - self._basis @ (self._basis.T @ log_power), dtype=np.float64)
 

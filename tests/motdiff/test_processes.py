@@ -46,7 +46,9 @@ from motdiff.processes import end_with_parent
 end_with_parent(os.getppid())
 time.sleep(0.7)
 """
-    assert subprocess.run([sys.executable, "-c", lives_on], timeout=60, check=False).returncode == 0
+    assert (
+        subprocess.run([sys.executable, "-c", lives_on], timeout=60, check=False).returncode == 0
+    )
 
 
 @pytest.mark.slow(reason="processes that load the library")

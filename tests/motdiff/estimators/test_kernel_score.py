@@ -183,6 +183,14 @@ def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
     assert phase.evidence(psf[::-1, ::-1]) < -0.02
 
 
+@pytest.mark.parametrize("period_px", [2, 8, 32])
+def test_stripes_leave_frequencies_without_power(period_px):
+    """Their powers, of rounding alone, are negative where they are summed up."""
+    stripes = np.tile(np.arange(256) % period_px < period_px / 2, (256, 1)) * 0.5 + 0.2
+    kernel = Trajectory.straight(9.0).psf(15)
+    assert -1 <= Spectrum(stripes, sigma=0.0).fit(kernel) <= 1
+
+
 @pytest.mark.parametrize(("contrast", "level"), [(1.0, 0.0), (1e-6, 0.9)])
 def test_evidence_in_single_precision_is_that_in_double(scene, contrast, level):
     """The formulas in double precision, for a plain photo and for one whose contrast single
