@@ -244,9 +244,9 @@ def test_refused_request_changes_nothing_and_is_not_repeated():
 def test_an_error_aborts_what_is_loaded_unless_it_was_aborted(last):
     with CxpController() as device:
         controller = Controller.open(device.port, **FAST)
+        controller.upload(PROGRAM)
+        controller.link.request(last)
         with pytest.raises(ZeroDivisionError), controller.link:
-            controller.upload(PROGRAM)
-            controller.link.request(last)
             raise ZeroDivisionError
         assert device.ops.count(Op.ABORT) == 1
 
