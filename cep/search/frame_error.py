@@ -1,5 +1,5 @@
-"""Expected error of a photo of finite size along a straight motion, with what lies beyond its
-border.
+"""Expected error of a photo of finite size along a motion that is straight or not much bent, with
+what lies beyond its border.
 
 An objective adds up errors frequency by frequency, as if a photo had no border. But light from
 beyond it falls into the photo, and where |H| is small what is unknown there reaches far into the
@@ -33,7 +33,9 @@ LONGEST_PX = 128.0
 
 _SEARCHES = 12
 _DESCENTS = 3
-_WIDEST_PX = 1.0  # of a path that counts as straight
+# Width over extent of a path that is judged as if it were straight: along wider ones codes that an
+# objective finds equal are nearly equal on photographs too.
+_WIDEST = 1 / 3
 _PIXELS = 12  # of the middle, in which the error is evaluated
 _PERIOD_PX = 4_096  # of the scene that a covariance is computed of
 # frequencies across the motion, denser near 0, where a scene's power is: more rank codes no better
@@ -41,12 +43,15 @@ _ACROSS = 3
 
 
 def is_framed(problem: SearchProblem) -> bool:
-    """Whether :class:`FrameError` can judge codes: of one camera, along short straight motions.
+    """Whether :class:`FrameError` can judge codes: of one camera, along short narrow paths.
 
-    An estimated path is never quite straight: it may be up to a pixel wide.
+    Narrow is a path up to a third as wide as it is long.
     """
     paths = [scenario.trajectory for scenario in problem.scenarios]
-    framed = [0 < path.extent_px <= LONGEST_PX and _width_px(path) <= _WIDEST_PX for path in paths]
+    framed = [
+        0 < path.extent_px <= LONGEST_PX and _width_px(path) <= _WIDEST * path.extent_px
+        for path in paths
+    ]
     return problem.frames == 1 and bool(paths) and all(framed)
 
 
@@ -88,7 +93,9 @@ def codes_of_a_frame(
 
 
 class FrameError:
-    """Least mean square error in the middle of a photo, of codes along straight motions.
+    """Least mean square error in the middle of a photo, of codes along narrow paths.
+
+    Each path counts as its projection on its main axis.
 
     Parameters
     ----------
@@ -107,8 +114,7 @@ class FrameError:
     def __init__(self, problem: SearchProblem) -> None:
         self.problem = problem
         self._motions = [
-            _StraightMotion(path, problem.chips, problem.scene)
-            for path in problem.directed_paths()
+            _Projection(path, problem.chips, problem.scene) for path in problem.directed_paths()
         ]
 
     def of_codes_db(self, codes: Sequence[ShutterCode]) -> FloatArray:
@@ -144,8 +150,8 @@ class FrameError:
         return code
 
 
-class _StraightMotion:
-    """A motion through the chips of a code, and the scene's covariances along it."""
+class _Projection:
+    """A path's projection through the chips of a code, and the scene's covariances along it."""
 
     def __init__(self, path: Trajectory, chips: int, scene: Scene) -> None:
         line = _line(path)

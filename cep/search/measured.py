@@ -204,7 +204,8 @@ def _candidates(
     codes = [exposure for exposure in possible if exposure.kind == "code"]
     if is_framed(problem):
         errors_db = FrameError(problem).of_codes_db([exposure.code for exposure in codes])
-        codes = [codes[index] for index in np.argsort(errors_db, kind="stable")]
+        in_frame = [codes[index] for index in np.argsort(errors_db, kind="stable")]
+        codes = [*dict.fromkeys([*codes[:1], *in_frame])]  # the best by the model competes as well
     codes = codes[:_CODES]
     strobes = [exposure for exposure in possible if exposure.kind == "strobe"][:1]
     snapshots = [exposure for exposure in possible if exposure.kind == "snapshot"]

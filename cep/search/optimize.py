@@ -74,8 +74,8 @@ def optimize(
         Rms error of the path where it is an estimate: the verdict counts it, the search does not.
     photographs : sequence of (H, W) float ndarrays, linear light, optional
         On which the verdict is measured, as of :func:`cep.search.advise.advise`. With the
-        objective "mse" the code of one camera is the best on them: of several searches along a
-        straight motion, by the error in a photo with borders
+        objective "mse" the code of one camera is the best on them: along a narrow path of several
+        searches, by the error in a photo with borders
         (:class:`cep.search.frame_error.FrameError`); else of those for its light, a third and a
         tenth of it. Not where a limit or Ctrl-C ended the search.
     threads : int, optional

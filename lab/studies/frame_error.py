@@ -1,13 +1,16 @@
 """Error in a photo with borders beside the objective: which of equal codes photographs prefer.
 
-    python -m lab.studies.frame_error PHOTOS [--count 8] [--codes 40] [--motions 8] [--seed 0]
+    python -m lab.studies.frame_error PHOTOS [--count 8] [--codes 40] [--motions 8] [--bend 0]
+        [--seed 0]
 
 PHOTOS is a folder of sharp photographs that chose nothing: the verdict's own are bundled. Along
 straight motions of several lengths, first codes that are nearly equal by the objective, each of a
 search of its own: the correlation of objective and of error in a photo with the mean PSNR of the
 restored photographs, the standard deviation of that PSNR over the codes, and the gain over their
 mean of the code that each puts first. Then the code of ``cep optimize`` at drawn lengths, light
-and read noise, beside that of searches for less light, which it was before.
+and read noise, beside that of searches for less light, which it was before, and what each advises.
+With a bend the drawn motions are those of constant acceleration, as of
+:func:`motdiff.motions.quadratic`.
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from cep.search.frame_error import FrameError
 from cep.search.problem import SearchProblem
 from lab.photo_gains.photographs import load_scenes
 from lab.studies.inputs import study_parser
+from motdiff.motions import quadratic
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
@@ -88,10 +92,13 @@ def compare_equal_codes(scenes: list[FloatArray], count: int) -> None:
         )
 
 
-def compare_optimize(scenes: list[FloatArray], count: int, seed: int) -> None:
-    """Print a row for each of ``count`` drawn motions."""
-    print("| length, px | photo-electrons | read noise, e- | before, dB | now, dB | gain, dB |")
-    print("|---:|---:|---:|---:|---:|---:|")
+def compare_optimize(scenes: list[FloatArray], count: int, *, bend: float, seed: int) -> None:
+    """Print a row for each of ``count`` drawn motions: PSNR of the code and of what is advised."""
+    print(
+        "| length, px | photo-electrons | read noise, e- | code before, dB | now, dB | gain, dB |"
+        " advised before, dB | now, dB | gain, dB |"
+    )
+    print("|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     rng = np.random.default_rng(seed)
     gains_db = []
     for _ in range(count):
@@ -99,24 +106,35 @@ def compare_optimize(scenes: list[FloatArray], count: int, seed: int) -> None:
             float(np.exp(rng.uniform(*np.log(span))))
             for span in (LENGTHS_PX, PHOTONS, READ_NOISE_E)
         )
-        path = Trajectory.straight(length_px, angle_rad=float(rng.uniform(0, np.pi)))
+        if bend:
+            path = quadratic(rng, min_length_px=length_px, max_length_px=length_px, max_bend=bend)
+        else:
+            path = Trajectory.straight(length_px, angle_rad=float(rng.uniform(0, np.pi)))
         problem = problem_of(path, photons=photons, read_noise_e=read_noise_e)
         with (
             patch("cep.search.optimize.is_framed", return_value=False),
             patch("cep.search.measured.is_framed", return_value=False),
         ):
             former = cep.optimize(problem, seed=seed)
-        codes = [former.code, cep.optimize(problem, seed=seed).code]
-        before_db, now_db = trial_of(problem, scenes).psnr_db(codes).mean(axis=1)
-        gains_db.append(now_db - before_db)
+        results = (former, cep.optimize(problem, seed=seed))
+        codes = [result.code for result in results]
+        codes += [result.verdict.advised.code for result in results]
+        levels_db = trial_of(problem, scenes).psnr_db(codes).mean(axis=1).reshape(2, 2)
+        gains_db.append(np.diff(levels_db)[:, 0])
+        cells = " | ".join(
+            f"{before_db:.2f} | {now_db:.2f} | {now_db - before_db:+.2f}"
+            for before_db, now_db in levels_db
+        )
         print(
-            f"| {length_px:.0f} | {photons:,.0f} | {read_noise_e:.0f} | {before_db:.2f} |"
-            f" {now_db:.2f} | {now_db - before_db:+.2f} |",
+            f"| {length_px:.0f} | {photons:,.0f} | {read_noise_e:.0f} | {cells} |",
             flush=True,
         )
-    mean_db = np.mean(gains_db)
-    error_db = np.std(gains_db, ddof=1) / np.sqrt(count)
-    print(f"| mean | | | | | {mean_db:+.2f} +- {error_db:.2f} |")
+    errors_db = np.std(gains_db, axis=0, ddof=1) / np.sqrt(count)
+    code, advised = (
+        f"{mean_db:+.2f} +- {error_db:.2f}"
+        for mean_db, error_db in zip(np.mean(gains_db, axis=0), errors_db, strict=True)
+    )
+    print(f"| mean | | | | | {code} | | | {advised} |")
 
 
 def main() -> None:
@@ -125,12 +143,13 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=8, help="photographs")
     parser.add_argument("--codes", type=int, default=40, help="of each motion; 0 for none")
     parser.add_argument("--motions", type=int, default=8, help="drawn for cep optimize")
+    parser.add_argument("--bend", type=float, default=0.0, help="of the drawn motions")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     scenes = load_scenes(options.photos, side_px=SIDE_PX, count=options.count)
     if options.codes:
         compare_equal_codes(scenes, options.codes)
-    compare_optimize(scenes, options.motions, options.seed)
+    compare_optimize(scenes, options.motions, bend=options.bend, seed=options.seed)
 
 
 if __name__ == "__main__":
