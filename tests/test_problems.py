@@ -42,7 +42,11 @@ def shortest_opening(bits):
     [
         ("cep", ("optimize", "--linear", "40", "--steps", "300")),
         ("lab", ("frames", "--linear", "40", "--steps", "300")),
-        ("lab", ("design-class", "walks", "--motions", "2", "--steps", "300")),
+        pytest.param(
+            "lab",
+            ("design-class", "walks", "--motions", "2", "--steps", "300"),
+            marks=pytest.mark.slow(reason="walks are judged on photographs"),
+        ),
         ("lab", ("pareto", "--linear", "40", "--steps", "300")),
     ],
 )

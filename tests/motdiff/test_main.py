@@ -220,6 +220,7 @@ def test_the_papers_first_minute_on_a_gpu(photos, motdiff):
     assert network.physics is None
 
 
+@pytest.mark.slow(reason="a training with classical searches")
 def test_a_gpus_first_minute(photos, motdiff):
     """gpu.toml in small sizes, from photos to a sheet of draws and an estimate with the exported
     weights."""

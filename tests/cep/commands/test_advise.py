@@ -87,6 +87,7 @@ def test_the_gain_is_measured_on_photographs(cep, workplace, monkeypatch):
     )
 
 
+@pytest.mark.slow(reason="advice three times")
 def test_a_stated_error_of_the_path_counts(cep, workplace):
     path = json.loads(Path("trajectory.json").read_text())
     path["source"] = {"path_uncertainty_px": 0.7}
@@ -166,6 +167,7 @@ def test_exposures_are_read(text, seconds):
     assert exposure_seconds(text) == pytest.approx(seconds)
 
 
+@pytest.mark.slow(reason="a search that is judged on parts of a photo")
 def test_a_photo_of_the_scene_is_what_gains_are_measured_on(cep, workplace):
     write_image("belt.png", photographs()[3])
     noisy = (*ALONG, "--read-noise", "50")

@@ -173,6 +173,7 @@ def test_a_code_that_cannot_be_chosen_does_not_cost_the_motion(
     )
 
 
+@pytest.mark.slow(reason="the fit of a trail")
 def test_a_small_light_s_trail_has_its_order_in_time(cep, tmp_path, monkeypatch, short_search):
     monkeypatch.chdir(tmp_path)
     code = "1011011101011110110101110011"
