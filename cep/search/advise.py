@@ -218,9 +218,16 @@ def advise(
         # a search starts from the codes of the darker levels as well
         pool += [*ordinary, *finder.codes(camera, [*ordinary, *pool], seed=seed, threads=threads)]
     if is_framed(problem) and is_measured(problem, photographs):
-        progress(len(cameras) / parts, "searching for photos with borders")
-        pool += codes_of_a_frame(problem, pool, seed=seed, threads=threads)
-    progress(len(cameras) / parts, "judging")
+        pool += codes_of_a_frame(
+            problem,
+            pool,
+            seed=seed,
+            threads=threads,
+            progress=lambda share: progress(
+                (len(cameras) + share) / parts, "searching for photos with borders"
+            ),
+        )
+    progress(_MODELLED_SHARE, "judging")
     # every code is judged at every level: one found for another light may be better here
     judgements = judged_exposures(problem, cameras, pool, path_error_px=path_error_px)
     modelled = {

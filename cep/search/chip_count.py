@@ -32,18 +32,25 @@ def problem_of_standard_chips(problem_of: Callable[[int], SearchProblem]) -> Sea
     Raises
     ------
     ValueError
-        As for 52 chips, where not even two are possible.
+        As for the most chips that are refused for another reason than the motion, where not even
+        two are possible; else as for 52.
     """
     # every command reads the constants as it starts: no array library until then
     from cep.optics.path_limits import check_resolved
 
     refusals = []
+    unresolved = []
     for count in _COUNTS:
         try:
             problem = problem_of(count)
-            check_resolved(problem.scenarios[0].trajectory, count)
         except ValueError as error:
             refusals.append(error)
+            continue
+        try:
+            check_resolved(problem.scenarios[0].trajectory, count)
+        except ValueError as error:
+            unresolved.append(error)
         else:
             return problem
-    raise refusals[0]
+    # a limit that fewer chips break is the user's, the count of chips is not
+    raise (refusals or unresolved)[0]

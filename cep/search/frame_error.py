@@ -10,9 +10,8 @@ as well: ``python -m lab.studies.frame_error``.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve, toeplitz
@@ -21,19 +20,18 @@ from cep.optics.code import ShutterCode
 from cep.optics.scene import Scene
 from cep.photographs.trial import JUDGED_PX, border_px
 from cep.proofs.mtf_curves import main_axis
-from cep.search.expected import light_noise
-from cep.search.exposures import ExposureFinder, recordable
+from cep.search.expected import light_noise, worst_psnr_db
+from cep.search.exposures import ExposureFinder, kind_of, recordable
 from cep.search.problem import SearchProblem
-from motdiff.threads import side_by_side
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 LONGEST_PX = 128.0
-"""Extent of a motion beyond which the covariances of a photo take long."""
+"""Length of a motion, along its main axis, beyond which the covariances of a photo take long."""
 
 _SEARCHES = 12
 _DESCENTS = 3
-# Width over extent of a path that is judged as if it were straight: along wider ones codes that an
+# Width over length of a path that is judged as if it were straight: along wider ones codes that an
 # objective finds equal are nearly equal on photographs too.
 _WIDEST = 1 / 3
 _PIXELS = 12  # of the middle, in which the error is evaluated
@@ -48,27 +46,30 @@ def is_framed(problem: SearchProblem) -> bool:
     Narrow is a path up to a third as wide as it is long.
     """
     paths = [scenario.trajectory for scenario in problem.scenarios]
-    framed = [
-        0 < path.extent_px <= LONGEST_PX and _width_px(path) <= _WIDEST * path.extent_px
-        for path in paths
-    ]
-    return problem.frames == 1 and bool(paths) and all(framed)
+    return problem.frames == 1 and bool(paths) and all(map(_is_narrow, paths))
 
 
 def codes_of_a_frame(
-    problem: SearchProblem, starts: Sequence[ShutterCode], *, seed: int, threads: int | None
+    problem: SearchProblem,
+    starts: Sequence[ShutterCode],
+    *,
+    seed: int,
+    threads: int | None,
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> list[ShutterCode]:
     """Search codes that are the best in photos with borders.
 
     Several searches by the expected error end at codes that are nearly equal by it; the best of
-    them in a photo are improved.
+    them in a photo are improved, and returned as they were as well.
 
     Parameters
     ----------
     problem : SearchProblem
         One of :func:`is_framed`.
     starts : sequence of ShutterCode
-        Codes that compete with those of the searches.
+        Those of kind "code" compete with the codes of the searches.
+    progress : callable, optional
+        Called with the finished share, 0..1.
 
     Raises
     ------
@@ -82,14 +83,25 @@ def codes_of_a_frame(
     lines = [replace(s, trajectory=_line(s.trajectory)) for s in unsaturated.scenarios]
     along_lines = replace(unsaturated, scenarios=tuple(lines))
     finder = ExposureFinder(unsaturated if unsaturated.straight else along_lines)
-    codes = [code for code in starts if unsaturated.allows(code)]
+    codes = [*starts]
     for number in range(_SEARCHES):
         codes += finder.codes(problem.camera, (), seed=seed + number, threads=threads, swaps=False)
-    codes = [*dict.fromkeys(codes)]
+        progress((number + 1) / (_SEARCHES + _DESCENTS))
+    # single exposures need no search; a code backwards in time is no other to begin with
+    distinct = {
+        min(code.bits, code.bits[::-1]): code
+        for code in reversed(codes)
+        if kind_of(code) == "code" and unsaturated.allows(code)
+    }
+    codes = [*distinct.values()]
     in_frame = FrameError(unsaturated)
-    order = np.argsort(in_frame.of_codes_db(codes), kind="stable")
-    descents = [partial(in_frame.descended, codes[index]) for index in order[:_DESCENTS]]
-    return [*dict.fromkeys(side_by_side(descents))]
+    order = np.argsort(in_frame.of_codes_db(codes), kind="stable")[:_DESCENTS]
+    best = [codes[index] for index in order]
+    descended = []
+    for number, code in enumerate(best):
+        descended.append(in_frame.descended(code))
+        progress((_SEARCHES + number + 1) / (_SEARCHES + _DESCENTS))
+    return [*dict.fromkeys([*descended, *best])]
 
 
 class FrameError:
@@ -114,21 +126,30 @@ class FrameError:
     def __init__(self, problem: SearchProblem) -> None:
         self.problem = problem
         self._motions = [
-            _Projection(path, problem.chips, problem.scene) for path in problem.directed_paths()
+            [
+                _Projection(path, problem.chips, problem.scene)
+                for path in problem.directed(scenario.trajectory)
+            ]
+            for scenario in problem.scenarios
         ]
 
     def of_codes_db(self, codes: Sequence[ShutterCode]) -> FloatArray:
-        """Error of R codes, dB, (R,): along the worst motion."""
+        """Error of R codes, dB, (R,): along the worst motion, or as the problem's rule says."""
         if not codes:
             return np.empty(0)
         problem = self.problem
         played = [ShutterCode(code.bits, problem.chip_ns) for code in codes]
-        noise = light_noise(problem.camera, played, response=problem.response, scene=problem.scene)
+        noise = light_noise(problem.camera, played, scene=problem.scene)
         errors = [
-            [motion.error(code.array, float(N)) for motion in self._motions]
-            for code, N in zip(codes, noise, strict=True)
+            [
+                np.array(
+                    [motion.error(code.array, N) for code, N in zip(codes, noise, strict=True)]
+                )
+                for motion in directions
+            ]
+            for directions in self._motions
         ]
-        return np.asarray(10 * np.log10(np.max(errors, axis=1)))
+        return -worst_psnr_db(problem, errors)
 
     def descended(self, code: ShutterCode) -> ShutterCode:
         """Change single chips, and neighbours together, as long as that lowers the error."""
@@ -190,7 +211,10 @@ def _line(path: Trajectory) -> Trajectory:
     return replace(path, xy=np.stack([along, np.zeros_like(along)], axis=1))
 
 
-def _width_px(path: Trajectory) -> float:
-    """Extent of a path across its main axis."""
+def _is_narrow(path: Trajectory) -> bool:
+    if path.extent_px == 0:
+        return False
     x, y = main_axis(path)
-    return float(np.ptp(path.xy @ [-y, x]))
+    length_px = np.ptp(path.xy @ [x, y])
+    width_px = np.ptp(path.xy @ [-y, x])
+    return bool(length_px <= LONGEST_PX and width_px <= _WIDEST * length_px)

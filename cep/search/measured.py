@@ -43,7 +43,12 @@ _OCTAVES = 0.5  # of the extent
 _BENT = 2.0  # straight and bent paths count half a step apart
 _FIRST_ROUNDS = (3, 6)  # photographs after which half of the candidates is left, and one
 _LENGTHS = 6  # of single exposures, the best by the model, that are tried
-_CODES = 4  # of the search's that are tried: the best by the model, or in a photo with borders
+_CODES = 4  # of the search's that are tried: the best by the model
+# Where codes are judged in a photo with borders too: the best there, and the best by the model,
+# which alone counts the error of a path.
+_IN_FRAME = 3
+_BY_MODEL = 1
+_BY_MODEL_OF_AN_ESTIMATE = 4
 _OWN_CODES = 3  # of the user's that are all measured on every photograph
 _USUAL_PX = 4e4  # of a restored photo; larger ones are restored from fewer photographs
 _LEAST_PHOTOGRAPHS = 4
@@ -105,7 +110,12 @@ def measured_exposures(
         seed=seed,
     )
     played = _played_by_two if problem.frames == 2 else _played
-    groups = _candidates(problem, modelled, {code.bits for code in own_codes})
+    groups = _candidates(
+        problem,
+        modelled,
+        {code.bits for code in own_codes},
+        choices=_BY_MODEL_OF_AN_ESTIMATE if path_error_px > 0 else _BY_MODEL,
+    )
     rounds = [*(number for number in _FIRST_ROUNDS if number < count), count]
     # the number of photos of each group in each round is known before
     planned = sum(_photos(len(group), rounds) for group in groups)
@@ -184,9 +194,13 @@ def corrected(exposure: Exposure, corrections: dict[Choice, float], share: float
 
 
 def _candidates(
-    problem: SearchProblem, modelled: Sequence[Exposure], own_bits: set[str]
+    problem: SearchProblem, modelled: Sequence[Exposure], own_bits: set[str], *, choices: int
 ) -> list[list[Exposure]]:
-    """Return groups of exposures that compete; a group of one is measured on all photographs."""
+    """Return groups of exposures that compete; a group of one is measured on all photographs.
+
+    Of codes that are judged in a photo with borders the best ``choices`` by the model are among
+    them in any case.
+    """
     by_model = sorted(modelled[1:], key=lambda exposure: -exposure.psnr_db)
     possible = [exposure for exposure in by_model if exposure.possible]
     groups = []
@@ -205,8 +219,9 @@ def _candidates(
     if is_framed(problem):
         errors_db = FrameError(problem).of_codes_db([exposure.code for exposure in codes])
         in_frame = [codes[index] for index in np.argsort(errors_db, kind="stable")]
-        codes = [*dict.fromkeys([*codes[:1], *in_frame])]  # the best by the model competes as well
-    codes = codes[:_CODES]
+        codes = [*dict.fromkeys([*codes[:choices], *in_frame])][: choices + _IN_FRAME]
+    else:
+        codes = codes[:_CODES]
     strobes = [exposure for exposure in possible if exposure.kind == "strobe"][:1]
     snapshots = [exposure for exposure in possible if exposure.kind == "snapshot"]
     best_of_length: dict[int, Exposure] = {}

@@ -32,10 +32,10 @@ from cep.search.verdict import verdict
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-_SEARCH_SHARE = 0.5  # of the time: then it is measured
+_SEARCH_SHARE = 0.4  # of the time: then rivals are searched
+_RIVALS_SHARE = 0.6  # of the time: then it is measured
 _MEASURED_SHARE = 0.95  # of the time: comparing and certifying take the rest
 _LESS_LIGHT = (3, 10)  # factors of the light that rivals of the code are searched for
-_MEASURING = "measuring on photographs"
 Progress = Callable[[float, str], None]
 
 
@@ -76,8 +76,9 @@ def optimize(
         On which the verdict is measured, as of :func:`cep.search.advise.advise`. With the
         objective "mse" the code of one camera is the best on them: along a narrow path of several
         searches, by the error in a photo with borders
-        (:class:`cep.search.frame_error.FrameError`); else of those for its light, a third and a
-        tenth of it. Not where a limit or Ctrl-C ended the search.
+        (:class:`cep.search.frame_error.FrameError`); else, or where the path has an error, of
+        those for its light, a third and a tenth of it. Not where a limit or Ctrl-C ended the
+        search.
     threads : int, optional
         As many as there are cores when omitted; the code does not depend on it.
     announce : callable, optional
@@ -113,14 +114,24 @@ def optimize(
         progress=_part(progress, 0.0, _SEARCH_SHARE),
     )
     on_found(stored_code(problem, how, search))  # what follows takes seconds
-    measuring = _part(progress, _SEARCH_SHARE, _MEASURED_SHARE)
-    measuring(0.0, _MEASURING)
+    rivalling = _part(progress, _SEARCH_SHARE, _RIVALS_SHARE)
+    measuring = _part(progress, _RIVALS_SHARE, _MEASURED_SHARE)
     costs_db: dict[ShutterCode, float] = {}
     if problem.objective == "mse" and search.stopped == "steps" and problem.frames == 1:
-        if is_framed(problem) and is_measured(problem, photographs):
-            codes = codes_of_a_frame(problem, [search.code], seed=seed, threads=threads)
-        else:
-            codes = _for_less_light(problem, search.code, seed=seed, threads=threads)
+        rivalling(0.0, "searching rivals")
+        codes = []
+        framed = is_framed(problem) and is_measured(problem, photographs)
+        if framed:
+            codes = codes_of_a_frame(
+                problem,
+                [search.code],
+                seed=seed,
+                threads=threads,
+                progress=lambda share: rivalling(share, "searching for photos with borders"),
+            )
+        # the error in a photo with borders is that along the path as it is given
+        if not framed or path_error_px > 0:
+            codes += _for_less_light(problem, search.code, seed=seed, threads=threads)
         costs_db = _within(problem, search, codes)
     judgement = verdict(
         problem,
@@ -129,7 +140,7 @@ def optimize(
         path_error_px=path_error_px,
         photographs=photographs,
         announce=announce,
-        progress=lambda share: measuring(share, _MEASURING),
+        progress=lambda share: measuring(share, "measuring on photographs"),
     )
     best = judgement.user_code
     if best is not None and best.code != search.code:

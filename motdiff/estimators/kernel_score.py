@@ -92,7 +92,7 @@ class Spectrum:
         self._radius2 = radius2
         self._floor = max(sigma, LEAST_SIGMA) ** 2
         self._power = power[self._in_band].astype(np.float32)
-        self._log_median = float(np.median(np.log(power[self._in_band])))
+        self._log_median = float(np.median(_log_power(power)[self._in_band]))
         log_radius = np.log(radius2)[self._in_band]
         angle = np.arctan2(fy, fx)[self._in_band]
         smooth = np.stack(
@@ -123,9 +123,7 @@ class Spectrum:
     def _ripples(self, power: FloatArray) -> FloatArray:
         # 3 x 3 means tame the exponential scatter of a periodogram
         smooth = ndimage.uniform_filter(power, 3, mode=("wrap", "mirror"))
-        # its running sums round below 0 where a pattern leaves next to nothing
-        smooth = np.maximum(smooth, np.finfo(np.float64).eps * power.max())
-        log_power = np.log(smooth)[self._in_band]
+        log_power = _log_power(smooth)[self._in_band]
         return np.asarray(log_power - self._basis @ (self._basis.T @ log_power), dtype=np.float64)
 
 
@@ -340,6 +338,11 @@ def uneven_blur_warning(
         f"The blur differs across the photo ({differing.size} of {len(crops)} crops have another"
         f" one, mutual MNC {mutual:.2f}): no single trajectory fits."
     )
+
+
+def _log_power(power: FloatArray) -> FloatArray:
+    """Logarithm of powers, which rounding makes 0 or less where a pattern leaves next to none."""
+    return np.asarray(np.log(np.maximum(power, np.finfo(np.float64).eps * power.max())))
 
 
 def _odd(kernel: FloatArray) -> FloatArray:
