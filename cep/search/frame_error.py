@@ -100,7 +100,8 @@ def codes_of_a_frame(
     descended = []
     for number, code in enumerate(best):
         descended.append(in_frame.descended(code))
-        progress((_SEARCHES + number + 1) / (_SEARCHES + _DESCENTS))
+        share = (number + 1) / len(best)
+        progress((_SEARCHES + _DESCENTS * share) / (_SEARCHES + _DESCENTS))
     return [*dict.fromkeys([*descended, *best])]
 
 

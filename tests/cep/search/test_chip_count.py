@@ -36,5 +36,7 @@ def test_a_shutter_that_cannot_play_more_gets_fewer_chips(limit):
 def test_what_is_impossible_with_any_number_is_said_of_the_standard_one():
     with pytest.raises(ValueError, match=f"^chips: {STANDARD_CHIPS} chips are too many"):
         problem_of_standard_chips(along(0.4))
+    with pytest.raises(ValueError, match=r"open.*32"):  # of so many chips the motion allows
+        problem_of_standard_chips(along(8.0, open_range=(40, 40)))
     with pytest.raises(ValueError, match="stays in place"):
         problem_of_standard_chips(along(0.0))

@@ -5,14 +5,17 @@ import pytest
 from scipy.linalg import toeplitz
 from skimage import data
 
+import cep
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
 from cep.optics.exposure import coded_psf
 from cep.optics.scene import PHOTO, noise_variance
+from cep.photographs.scenes import photographs
 from cep.photographs.trial import JUDGED_PX, PhotoTrial, border_px
 from cep.search.cost import FINE, CodeCost
-from cep.search.frame_error import FrameError, is_framed
-from cep.search.problem import SearchProblem, speed_range
+from cep.search.exposures import ExposureFinder, kind_of
+from cep.search.frame_error import FrameError, codes_of_a_frame, is_framed
+from cep.search.problem import Scenario, SearchProblem, speed_range
 from motdiff.trajectory import Trajectory
 
 CAMERA = Camera(photons_full_scale=9_000, read_noise_e=14)
@@ -67,6 +70,15 @@ def test_the_worst_motion_counts():
     ]
     errors_db = [FrameError(problem).of_codes_db([STEADY])[0] for problem in each]
     assert FrameError(both).of_codes_db([STEADY])[0] == pytest.approx(max(errors_db))
+    paths = [problem.scenarios[0].trajectory for problem in each]
+    weighted = SearchProblem(
+        chips=52,
+        camera=CAMERA,
+        scenarios=(Scenario(paths[0], weight=3.0), Scenario(paths[1])),
+        rule="mean",
+    )
+    expected_db = np.average(errors_db, weights=[3, 1])
+    assert FrameError(weighted).of_codes_db([STEADY])[0] == pytest.approx(expected_db)
 
 
 @pytest.mark.parametrize("width_px", [0, 16])
@@ -98,10 +110,43 @@ def test_a_descent_lowers_the_error_within_the_limits():
     assert in_frame.of_codes_db(near).min() >= after_db
 
 
+def test_codes_are_searched_that_are_better_in_a_photo():
+    problem = problem_of(20.0, chips=10)
+    snapshot, code = ShutterCode("0001100000"), ShutterCode("1011000100")
+    mirrored = ShutterCode(code.bits[::-1], chip_ns=123)
+    shares = []
+    codes = codes_of_a_frame(
+        problem, [snapshot, code, mirrored], seed=0, threads=1, progress=shares.append
+    )
+    assert {kind_of(code) for code in codes} == {"code"}
+    assert all(map(problem.allows, codes))
+    errors_db = FrameError(problem).of_codes_db([*codes, code])
+    assert errors_db[:-1].min() <= errors_db[-1]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1
+    dark = Camera(photons_full_scale=1e5, read_noise_e=14, full_well_e=1.0)
+    saturated = SearchProblem.along(Trajectory.straight(20.0), chips=10, camera=dark)
+    assert codes_of_a_frame(saturated, [code], seed=0, threads=1) == []
+
+
+@pytest.mark.slow(reason="searches, judged on a photograph")
+def test_optimize_and_advise_return_what_is_better_in_a_photo():
+    problem = problem_of(60.0, chips=32)
+    optimized = cep.optimize(problem, steps=20_000, photographs=photographs()[:1])
+    advised = cep.advise(problem, levels=(), photographs=photographs()[:1]).here.best("code")
+    searched = ExposureFinder(problem).codes(CAMERA, (), seed=0, threads=1)
+    errors_db = FrameError(problem).of_codes_db([optimized.code, advised.code, *searched])
+    assert errors_db[:2].max() < errors_db[2] - 0.2
+
+
 def test_which_problems_it_is_for():
     arc = Trajectory.from_samples([[0, 0], [8, 1], [12, 7]])
     assert is_framed(problem_of())
-    assert is_framed(SearchProblem.along(arc.scaled(9), chips=16))
+    for angle in np.deg2rad([0, 30, 45, 80]):
+        turns = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        turned = Trajectory.from_samples(9 * arc.xy @ turns)
+        assert is_framed(SearchProblem.along(turned, chips=16))
+        assert not is_framed(problem_of(150.0, angle_rad=angle))
     assert not is_framed(problem_of(200.0))
     assert not is_framed(problem_of(40.0, frames=2))
     assert not is_framed(SearchProblem(chips=16))

@@ -187,8 +187,10 @@ def test_spectrum_and_phase_tell_the_kernel_from_lost_ones(scene):
 def test_stripes_leave_frequencies_without_power(period_px):
     """Their powers, of rounding alone, are negative where they are summed up."""
     stripes = np.tile(np.arange(256) % period_px < period_px / 2, (256, 1)) * 0.5 + 0.2
+    board = np.indices((128, 128)).sum(axis=0) % 2 * 0.5 + 0.2
     kernel = Trajectory.straight(9.0).psf(15)
-    assert -1 <= Spectrum(stripes, sigma=0.0).fit(kernel) <= 1
+    for pattern in (stripes, board):
+        assert -1 <= Spectrum(pattern, sigma=0.0).fit(kernel) <= 1
 
 
 @pytest.mark.parametrize(("contrast", "level"), [(1.0, 0.0), (1e-6, 0.9)])
