@@ -70,6 +70,15 @@ def test_light_beyond_black_and_white_is_impossible():
     assert not is_possible_light(3 * (SCENE - 0.3), SCENE, RIGHT)
 
 
+def test_beside_lights_less_light_below_black_is_possible():
+    lit = SCENE.copy()
+    lit[:20, :20] = 1.0  # clipped
+    for photo, possible in [(SCENE, True), (lit, False)]:
+        ringing = photo.copy()
+        ringing[len(photo) // 2 :] = -0.15 * np.std(photo)  # 0.106 of the contrast, rms
+        assert is_possible_light(ringing, photo, RIGHT) == possible
+
+
 def test_a_restored_photo_is_nearer_the_scene_in_every_colour():
     colours = np.stack([SCENE, 0.8 * SCENE, discs(260, seed=2)], axis=2)
     photo, sharp = taken(colours)
