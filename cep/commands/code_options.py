@@ -100,7 +100,6 @@ class CodeOptions(CameraOptions, SceneOptions):
     min_closed: int = option(
         "--min-closed", "N", "Shortest closed run, chips.", 1, panel=_LIMITS, min=1
     )
-    max_pulses: int | None = option("--max-pulses", "N", "Most open runs.", panel=_LIMITS, min=1)
 
     def problem(
         self,
@@ -134,9 +133,7 @@ class CodeOptions(CameraOptions, SceneOptions):
             objective=objective,
             rule=rule,
             frames=frames,
-            runs=RunLimits(
-                min_open=self.min_open, min_closed=self.min_closed, max_pulses=self.max_pulses
-            ),
+            runs=RunLimits(min_open=self.min_open, min_closed=self.min_closed),
             camera=self.load_camera(),
             scene=self.load_scene(),
         )

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any, TypeGuard
 
 MOST_CHIPS = 512  # of a code on the page
-# of a code's runs, as RunLimits and the page's fields name them, with their units
-LIMITS = {"min_open": "chips", "min_closed": "chips", "max_pulses": "openings"}
+# of a code's runs, chips, as RunLimits and the page's fields name them
+LIMITS = ("min_open", "min_closed")
 # fields of the page that set what an error of the library begins with
 _FIELD_OF = {
     "bits": "bits",

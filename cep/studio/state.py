@@ -238,8 +238,8 @@ def read_setting(document: object) -> Setting:
         open_range=_open_range(document.get("open"), len(bits)),
         limits={
             name: value
-            for name, unit in LIMITS.items()
-            if (value := read_whole(document, name, 1, MOST_CHIPS, unit)) is not None
+            for name in LIMITS
+            if (value := read_whole(document, name, 1, MOST_CHIPS, "chips")) is not None
         },
     )
 

@@ -145,7 +145,7 @@ CASES = [
     ),
     Case(
         "optimize-limits",
-        f"cep optimize --linear 16 --chips 16 {SEARCH} --min-open 2 --min-closed 2 --max-pulses 4"
+        f"cep optimize --linear 16 --chips 16 {SEARCH} --min-open 2 --min-closed 2"
         " -o code_new.json --json",
     ),
     Case(

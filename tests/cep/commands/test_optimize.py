@@ -65,7 +65,7 @@ def test_what_is_proven_already_is_returned_with_its_proof(cep, workplace, lengt
     said = cep(*asked, "--force", "-o", "best.json").out
     assert "proven (docs/optima.md): no code within the limits is better" in " ".join(said.split())
     # a limit that excludes the code: it is searched
-    other = cep.succeeds(*asked, "--max-pulses", "3", "--steps", "500", "-o", "other.json")
+    other = cep.succeeds(*asked, "--min-open", "2", "--steps", "500", "-o", "other.json")
     assert (other["proven"], other["proof"]) == (False, None)
 
 
@@ -201,9 +201,10 @@ def test_only_what_a_strobe_can_play_is_proposed(cep, lab, workplace):
             program = Program(bits, chip_ns=1_000_000)
             assert load_profile("strobe.toml").check(program) == ()
     # the stricter one of device and option counts
-    found = cep.succeeds("optimize", *options, "--steps", "3000", "--max-pulses", "2")
-    assert read_code("code.json").problem["max_pulses"] == 2
-    assert ShutterCode(found["bits"]).pulses <= 2
+    found = cep.succeeds("optimize", *options, "--steps", "3000", "--min-open", "2")
+    assert read_code("code.json").problem["min_open"] == 2
+    code = ShutterCode(found["bits"])
+    assert code.open_chips == 2 * code.pulses  # the device opens for two chips at most
 
 
 @pytest.mark.parametrize(

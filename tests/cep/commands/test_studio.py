@@ -132,14 +132,14 @@ def test_the_commands_are_made_from_the_state_and_not_copied(cep, saved):
         "read_noise",
         "path_error",
         "min_open",
-        "max_pulses",
+        "min_closed",
         "open",
     ],
 )
 def test_a_state_with_a_hostile_field_is_refused_by_its_name(cep, saved, field, value):
     if field in ("photons", "read_noise") and value == 7:
         value = "7"
-    if (field, value) in (("path_error", 7), ("min_open", 7), ("max_pulses", 7)):
+    if (field, value) in (("path_error", 7), ("min_open", 7), ("min_closed", 7)):
         value = [7]
     assert f"state.{field}:" in extracted(cep, saved, **{f"state__{field}": value})
 

@@ -48,7 +48,7 @@ from motdiff.motions import boracchi_foi
         ("open", {"open": [1, 99]}),
         ("open", {"open": "8"}),
         ("min_open", {"min_open": 1.5}),
-        ("max_pulses", {"max_pulses": 0}),
+        ("min_closed", {"min_closed": 0}),
     ],
 )
 def test_wrong_input_names_its_field(setting, field, change):
@@ -75,7 +75,7 @@ LARGE = [
 
 @pytest.mark.parametrize("value", LARGE, ids=lambda value: str(type(value).__name__))
 @pytest.mark.parametrize(
-    "field", ["path_error", "photons", "read_noise", "min_open", "max_pulses"]
+    "field", ["path_error", "photons", "read_noise", "min_open", "min_closed"]
 )
 def test_a_number_beyond_all_measure_names_its_field(setting, field, value):
     with pytest.raises(FieldError) as caught:
@@ -239,7 +239,7 @@ def test_commands_quote_what_a_shell_would_read(setting):
 
 
 def test_commands_have_no_option_that_the_program_lacks(setting):
-    limited = {"min_open": 2, "min_closed": 2, "max_pulses": 3, "open": [4, 9]}
+    limited = {"min_open": 2, "min_closed": 2, "open": [4, 9]}
     for line in read_setting({**setting, **limited}).commands(steps=7):
         words = shlex.split(line)
         offered = {
