@@ -120,6 +120,19 @@ class Trajectory:
             values.setflags(write=False)
             object.__setattr__(self, name, values)
 
+    def __eq__(self, other: object) -> bool:
+        """Whether another is the same path in the same order, sample by sample."""
+        return isinstance(other, Trajectory) and self._samples == other._samples
+
+    def __hash__(self) -> int:
+        """Of the same samples, so that a trajectory can be looked up."""
+        return hash(self._samples)
+
+    @property
+    def _samples(self) -> tuple[bytes, bytes, Direction]:
+        # 0 added: -0.0 has other bytes
+        return (self.t + 0.0).tobytes(), (self.xy + 0.0).tobytes(), self.direction
+
     # -- making one -------------------------------------------------------------------------------
 
     @classmethod

@@ -227,7 +227,7 @@ def _page(
     problem = advice.problem
     yield at_camera.sentence
     yield advice.where
-    open_shutter = at_camera.exposures[0]
+    open_shutter = at_camera.open_shutter
     best = map(at_camera.best, at_camera.gains_db)
     # by name, as the best code may be the same even pulses as the best strobe
     exposures = {

@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cep.optics.code import is_whole
 from motdiff.files.inputs import one_line, read_json, read_toml
 from motdiff.files.json_files import fault, load_schema
 from motdiff.files.outputs import write_text
@@ -136,13 +137,9 @@ class Camera:
                 raise ValueError(f"{name}: must be 0 or more {unit}, got {value}")
         if not abs(self.exposure_offset_s) < math.inf:
             raise ValueError(f"exposure_offset_s: must be seconds, got {self.exposure_offset_s}")
-        # bool is an int, and JSON's true would be a camera of one bit
-        if (
-            isinstance(self.bits, bool)
-            or not isinstance(self.bits, int)
-            or not 1 <= self.bits <= 16
-        ):
+        if not (is_whole(self.bits) and 1 <= self.bits <= 16):
             raise ValueError(f"bits: must be a whole number within 1..16, got {self.bits!r}")
+        object.__setattr__(self, "bits", int(self.bits))
         if not 0 <= self.black_level <= 1:
             raise ValueError(f"black_level: must lie within 0..1, got {self.black_level}")
         if self.response not in ("linear", "srgb"):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from itertools import groupby
+from typing import TypeGuard
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,9 +64,8 @@ class ShutterCode:
         if "1" not in text:
             state = "all chips are closed" if text else "the code is empty"
             raise ValueError(f"bits: {state}; at least one chip must be open")
-        is_integer = isinstance(chip_ns, int | np.integer) and not isinstance(chip_ns, bool)
         # controllers and files hold times in 64 bits with a sign
-        if not (is_integer and 0 < chip_ns < 2**63):
+        if not (is_whole(chip_ns) and 0 < chip_ns < 2**63):
             raise ValueError(
                 f"chip_ns: must be a whole number of nanoseconds within 1..2^63-1, got {chip_ns!r}"
             )
@@ -126,6 +126,17 @@ class ShutterCode:
     def reversed(self) -> ShutterCode:
         """Return the code played backwards."""
         return replace(self, bits=self.bits[::-1])
+
+
+def is_whole(value: object) -> TypeGuard[int]:
+    """Whether a value is an integer, of numpy as well; True and False are none.
+
+    Examples
+    --------
+    >>> is_whole(np.int64(8)), is_whole(8.0), is_whole(True)
+    (True, False, False)
+    """
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def _text(chips: str | ArrayLike) -> str:

@@ -238,7 +238,7 @@ def _problem(
 def _exposures(advice: Advice) -> dict[str, Exposure]:
     """Return the open shutter, then the best single exposure and code that the limits leave."""
     candidates = {
-        "open": advice.here.exposures[0],
+        "open": advice.here.open_shutter,
         "snapshot": advice.here.best("snapshot"),
         "coded": advice.here.best("code"),
     }

@@ -280,7 +280,7 @@ def _gains(advice: Advice) -> Table:
 def _photos(chain: Chain) -> Table:
     """Compare the restored photos: expected and simulated gains over the open shutter."""
     simulated = chain.gains_db()
-    opened_db = chain.advice.here.exposures[0].psnr_db
+    opened_db = chain.advice.here.open_shutter.psnr_db
     rows = []
     for shot in chain.shots:
         name = _NAMES[shot.kind]

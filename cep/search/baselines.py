@@ -18,7 +18,7 @@ from cep.files.tables import markdown_table
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import CodeMetrics, PairMetrics
 from cep.search.annealing.anneal import anneal
-from cep.search.cost import FINE, CodeCost
+from cep.search.cost import CodeCost
 from cep.search.limits import Limits, RunLimits
 from cep.search.problem import SearchProblem
 from cep.search.search_result import Baseline, ComparedCode
@@ -169,7 +169,7 @@ def find_baselines(
     Of a problem of two frames each is played beside its complement, which the open shutter has
     none of: the snapshot is a single run in one camera, and the rest in the other.
     """
-    judge = judge or CodeCost(problem, **FINE)
+    judge = judge or CodeCost.fine(problem)
 
     def baseline(name: str, code: ShutterCode, *, stopped_early: bool = False) -> Baseline:
         allowed = problem.allows(code)

@@ -22,7 +22,7 @@ import numpy as np
 from cep.optics.code import ShutterCode
 from cep.search.annealing.anneal import anneal, standard_moves
 from cep.search.baselines import find_baselines
-from cep.search.cost import FINE, CodeCost
+from cep.search.cost import CodeCost
 from cep.search.exhaustive.exact import ExactResult, ProofLog, codes_to_count, exact
 from cep.search.limits import nearest
 from cep.search.optima import proven_optimum, proven_starts
@@ -148,7 +148,7 @@ def search_code(
     if proven is None:
         # the search's draws must not depend on how many the baselines take
         for_baselines, rng = rng.spawn(2)
-    judge = CodeCost(problem, **FINE)
+    judge = CodeCost.fine(problem)
     rivals: list[Baseline] = []
     interrupted = False
     try:

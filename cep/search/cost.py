@@ -34,9 +34,8 @@ from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 
 RealArray = NDArray[Any]
-FINE: dict[str, Any] = {"oversampling": 64, "dtype": np.float64}
-"""A :class:`CodeCost` by which codes are judged in the end: 8 samples hide zeros between them,
-and float32 ranks codes that are almost as good by rounding."""
+# fields of a problem on which the samples depend
+_SAMPLED = ("chips", "scenarios", "direction", "frames", "response", "scene")
 
 
 @dataclass(frozen=True)
@@ -146,12 +145,33 @@ class CodeCost:
         shares = np.array([s.weight for s in problem.scenarios] or [1.0])
         self.scenario_shares: NDArray[np.float64] = shares / shares.sum()
 
+    @classmethod
+    def fine(cls, problem: SearchProblem) -> CodeCost:
+        """Return the cost by which codes are judged in the end.
+
+        8 samples hide zeros between them, and float32 ranks codes that are almost as good by
+        rounding.
+        """
+        return cls(problem, oversampling=64, dtype=np.float64)
+
     def instead(self, objective: str | tuple[tuple[str, float], ...]) -> CodeCost:
         """Judge by another objective on the same samples; the tables are shared."""
         return self.for_problem(replace(self.problem, objective=objective))
 
     def for_problem(self, problem: SearchProblem) -> CodeCost:
-        """Judge by a problem with another objective, camera or limits, on the same samples."""
+        """Judge by a problem with another objective, camera or limits, on the same samples.
+
+        Raises
+        ------
+        ValueError
+            If the problem has other motions, another scene, shutter or number of chips or frames:
+            the samples are of these.
+        """
+        changed = [
+            name for name in _SAMPLED if getattr(problem, name) != getattr(self.problem, name)
+        ]
+        if changed:
+            raise ValueError(f"{changed[0]}: must be that of the samples")
         code_cost = copy(self)
         code_cost.problem = problem
         code_cost._set_noise()
@@ -174,7 +194,10 @@ class CodeCost:
             self.noise = self._noise_of_one = np.full(chips + 1, half_light / 2)
 
     def otf(self, codes: RealArray) -> RealArray:
-        """(R, 2, F) real and imaginary OTF of (R, n) codes; of two cameras that of C - O / 2."""
+        """Return real and imaginary OTF (R, 2, F) of codes (R, n).
+
+        For two cameras it is that of the code less half of the open shutter.
+        """
         otf = coded_sum(self.rows, codes)
         return otf if self.open_half is None else otf - self.open_half
 

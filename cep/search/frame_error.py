@@ -26,9 +26,7 @@ from cep.search.problem import SearchProblem
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-LONGEST_PX = 128.0
-"""Length of a motion, along its main axis, beyond which the covariances of a photo take long."""
-
+_LONGEST_PX = 128.0  # along the main axis: beyond, the covariances of a photo take long
 _SEARCHES = 12
 _DESCENTS = 3
 # Width over length of a path that is judged as if it were straight: along wider ones codes that an
@@ -218,4 +216,4 @@ def _is_narrow(path: Trajectory) -> bool:
     x, y = main_axis(path)
     length_px = np.ptp(path.xy @ [x, y])
     width_px = np.ptp(path.xy @ [-y, x])
-    return bool(length_px <= LONGEST_PX and width_px <= _WIDEST * length_px)
+    return bool(length_px <= _LONGEST_PX and width_px <= _WIDEST * length_px)

@@ -17,6 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from cep.optics.code import is_whole
 from motdiff.types import BoolArray
 
 CLOSED = 0  # states of a walk
@@ -90,9 +91,11 @@ class RunLimits:
     def __post_init__(self) -> None:
         for name in ("min_open", "min_closed", "max_pulses", "max_open", "min_period"):
             value = getattr(self, name)
-            unlimited = name in ("max_pulses", "max_open") and value is None
-            if not unlimited and (not isinstance(value, int) or value < 1):
+            if value is None and name in ("max_pulses", "max_open"):
+                continue
+            if not is_whole(value) or value < 1:
                 raise ValueError(f"{name}: must be a whole number of at least 1, got {value!r}")
+            object.__setattr__(self, name, int(value))
 
     def tightened(self, limits: RunLimits) -> RunLimits:
         """Return the limits of codes that keep these and others.

@@ -19,9 +19,9 @@ from cep.search.code_search import (
     search_code,
     searched_problem,
 )
-from cep.search.cost import FINE, CodeCost
+from cep.search.cost import CodeCost
 from cep.search.exhaustive.exact import codes_to_count
-from cep.search.exposures import ExposureFinder, check_light
+from cep.search.exposures import PLAIN, ExposureFinder, check_light, kind_of
 from cep.search.frame_error import codes_of_a_frame, is_framed
 from cep.search.measured import is_measured
 from cep.search.optimized_code import OptimizedCode, described, stored_code
@@ -57,8 +57,9 @@ def optimize(
 ) -> OptimizedCode:
     """Search the best code along a problem's motions, certify it, and compare it with others.
 
-    No code of the comparison that keeps the problem's limits is better by its objective. Whether
-    to use the code at all is decided by photographs, see :class:`cep.search.verdict.Verdict`.
+    No code of the comparison that keeps the problem's limits is better by its objective; a single
+    exposure is only where photographs prefer the code. Whether to use the code at all is decided
+    by photographs, see :class:`cep.search.verdict.Verdict`.
 
     Parameters
     ----------
@@ -96,6 +97,9 @@ def optimize(
         If the problem has no motion, its paths cannot be measured or are too short for so many
         chips, even the shortest opening saturates at its light, the method does not solve it, or
         its device cannot play the code.
+    KeyboardInterrupt
+        After Ctrl-C while the code is compared, measured or certified; ``on_found`` has had it.
+        Ctrl-C before ends the search: the best so far is compared and certified.
 
     Examples
     --------
@@ -206,15 +210,22 @@ def _for_less_light(
 def _within(
     problem: SearchProblem, search: SearchResult, codes: Sequence[ShutterCode]
 ) -> dict[ShutterCode, float]:
-    """Return the codes within the limits that no baseline beats, with their cost, dB."""
+    """Return the codes within the limits that no other code beats, with their cost, dB.
+
+    Whether a single exposure is better than they are, photographs tell.
+    """
     rivals = [replace(code, chip_ns=problem.chip_ns) for code in dict.fromkeys(codes)]
     if not rivals:
         return {}
     highest_db = min(
-        (baseline.cost_db for baseline in search.baselines if baseline.within_limits),
+        (
+            baseline.cost_db
+            for baseline in search.baselines
+            if baseline.within_limits and kind_of(baseline.code) not in PLAIN
+        ),
         default=math.inf,
     )
-    costs_db = CodeCost(problem, **FINE).cost_of(np.array([code.array for code in rivals]))
+    costs_db = CodeCost.fine(problem).cost_of(np.array([code.array for code in rivals]))
     return {
         code: cost_db
         for code, cost_db in zip(rivals, costs_db.tolist(), strict=True)

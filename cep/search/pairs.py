@@ -9,7 +9,7 @@ import numpy as np
 from cep.optics.code import ShutterCode
 from cep.proofs.measure import PairMetrics
 from cep.search.baselines import BaselineRow, Comparison
-from cep.search.cost import FINE, CodeCost
+from cep.search.cost import CodeCost
 from cep.search.expected import joint_psnr_db, light_noise
 from cep.search.problem import SearchProblem
 from cep.search.search_result import Baseline
@@ -27,7 +27,7 @@ def measure_pairs(
     problem : SearchProblem
     pairs : iterable of (ShutterCode, ShutterCode)
     """
-    fine = CodeCost(problem.of_one_camera, **FINE)
+    fine = CodeCost.fine(problem.of_one_camera)
 
     def measured(pair: tuple[ShutterCode, ShutterCode]) -> PairMetrics:
         power = (fine.otf(np.array([code.array for code in pair])) ** 2).sum(axis=(0, 1))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cep.optics.camera import Camera
-from cep.optics.code import ShutterCode
+from cep.optics.code import ShutterCode, is_whole
 from cep.optics.response import ShutterResponse
 from cep.optics.scene import PHOTO, Scene
 from cep.optics.straight_motion import straight_axis, uniform_length_px
@@ -126,17 +126,27 @@ class SearchProblem:
     frames: int = 1
 
     def __post_init__(self) -> None:
-        if self.frames not in (1, 2):
+        if not is_whole(self.frames) or self.frames not in (1, 2):
             raise ValueError(
                 "frames: must be 1, or 2 for a pair of cameras that play a code and its"
                 f" complement, got {self.frames}; codes of more exposures: python -m lab frames"
             )
-        if not isinstance(self.chip_ns, int) or self.chip_ns < 1:
+        if not is_whole(self.chip_ns) or self.chip_ns < 1:
             raise ValueError(
                 f"chip_ns: must be a whole number of nanoseconds above 0, got {self.chip_ns!r}"
             )
-        if not isinstance(self.chips, int) or self.chips < 1:
+        if not is_whole(self.chips) or self.chips < 1:
             raise ValueError(f"chips: must be a whole number of at least 1, got {self.chips!r}")
+        for name in ("frames", "chip_ns", "chips"):
+            object.__setattr__(self, name, int(getattr(self, name)))
+        if self.open_range is not None:
+            if len(self.open_range) != 2 or not all(map(is_whole, self.open_range)):
+                raise ValueError(
+                    "open_range: must be two whole numbers, the fewest and the most open chips,"
+                    f" got {self.open_range!r}"
+                )
+            low, high = map(int, self.open_range)
+            object.__setattr__(self, "open_range", (low, high))
         for name, allowed in (
             ("direction", ("auto", "unknown", "forward")),
             ("rule", ("worst", "mean")),

@@ -23,6 +23,7 @@ from cep.search.exposures import (
     check_light,
     gain_range_db,
     judged_exposures,
+    kind_of,
     pair_exposures,
     simplest,
 )
@@ -69,6 +70,15 @@ class Verdict:
     scene: Scene = PHOTO
     is_pair: bool = False
 
+    def __post_init__(self) -> None:
+        if not self.exposures or self.exposures[0].kind != "open":
+            raise ValueError("exposures: must begin with the open shutter")
+
+    @property
+    def open_shutter(self) -> Exposure:
+        """The open shutter, possible or not: gains are over it."""
+        return self.exposures[0]
+
     @property
     def possible(self) -> tuple[Exposure, ...]:
         """Exposures that can be advised: they keep the limits and do not saturate."""
@@ -77,12 +87,12 @@ class Verdict:
     @property
     def photographs(self) -> int:
         """Photographs on which the gains were measured; 0 where they are a model's."""
-        return len(self.exposures[0].photo_psnr_db)
+        return len(self.open_shutter.photo_psnr_db)
 
     @property
     def open_saturates(self) -> bool:
         """Whether the open shutter collects more than the camera can record."""
-        return self.exposures[0].saturates
+        return self.open_shutter.saturates
 
     def best(self, kind: Choice, *, by: Figure = "psnr_db") -> Exposure | None:
         """Best possible exposure of a kind, if any; even pulses are a code as well."""
@@ -189,9 +199,8 @@ class Verdict:
         return {kind: best for kind in KINDS if (best := self.best(kind, by=by))}
 
     def _gains_db(self, by: Figure) -> dict[Choice, float]:
-        # the open shutter is first: gains are relative to it
         figure = attrgetter(by)
-        open_db = figure(self.exposures[0])
+        open_db = figure(self.open_shutter)
         return {kind: figure(best) - open_db for kind, best in self._best_exposures(by).items()}
 
 
@@ -215,7 +224,8 @@ def verdict(
     *codes : ShutterCode
         Those of a single opening count as snapshots, but for two cameras.
     rivals : sequence of ShutterCode
-        Of one code: the best of all on photographs takes its place.
+        Of one code: the best of all on photographs takes its place, that of a single exposure
+        only where a code is advised.
     path_error_px, photographs, announce
         As of :func:`cep.search.advise.advise`.
     progress : callable, optional
@@ -262,7 +272,10 @@ def verdict(
     )
     measured = bool(exposures[0].photo_psnr_db)
     if compete and measured:
-        codes = (max(competing(exposures), key=attrgetter("psnr_db")).code,)
+        best = max(competing(exposures), key=attrgetter("psnr_db")).code
+        of_best = verdict_of(problem, exposures, (best,), path_error_px=path_error_px)
+        if of_best.choice == "code" or kind_of(codes[0]) not in PLAIN:
+            return of_best
     return verdict_of(problem, exposures, codes, path_error_px=path_error_px)
 
 

@@ -50,7 +50,7 @@ def recommendation(verdict: Verdict) -> str:
         return f"{words.leave_open}: no shorter exposure and no code found gains {WORTH_DB:g} dB"
     gains = []
     if not verdict.open_saturates:  # a gain over what cannot be recorded says nothing
-        gains.append(_gain(verdict, verdict.exposures[0], words.open_shutter))
+        gains.append(_gain(verdict, verdict.open_shutter, words.open_shutter))
     if advised.kind == "snapshot":
         text = f"Coding does not pay here: {words.expose} {_share(advised.code)}"
         if not verdict.code_name:

@@ -151,7 +151,7 @@ class Views:
                 "choice": verdict.choice,
                 "gains_db": verdict.gains_db,
                 "psnr_db": psnrs[setting.bits],
-                "open_psnr_db": verdict.exposures[0].psnr_db,
+                "open_psnr_db": verdict.open_shutter.psnr_db,
                 "ways": [
                     {"name": _WORDS[kind], **exposure.to_dict()}
                     for kind, exposure in best.items()

@@ -45,7 +45,7 @@ from cep.search.annealing.cooling import (
 from cep.search.annealing.polish import BATCH, GAIN_DB, neighbours, otf_nearby
 from cep.search.annealing.proposals import LoopLimits
 from cep.search.annealing.terms import BLOCK, Tables, lay_out
-from cep.search.cost import FINE, CodeCost
+from cep.search.cost import CodeCost
 from cep.search.problem import SearchProblem
 from cep.search.search_result import Stopped
 from motdiff.types import FloatArray
@@ -172,7 +172,7 @@ def anneal_frames(
         (ranked[0], 0.0), polish_jointly(problem, ranked), report, stopped=stopped
     )
     codes = _as_codes(best)
-    cost = float(joint_cost(CodeCost(problem, **FINE), best[None])[0])
+    cost = float(joint_cost(CodeCost.fine(problem), best[None])[0])
     return FramesResult(
         codes, cost, *joint_figures(problem, codes), budget.elapsed(), budget.moves, stopped
     )
@@ -305,7 +305,7 @@ def joint_cost(code_cost: CodeCost, codes: NDArray[Any]) -> FloatArray:
 
 def joint_figures(problem: SearchProblem, codes: Sequence[ShutterCode]) -> JointFigures:
     """Measure frames restored together; M times one code gain 10 log10 M dB over it."""
-    fine = CodeCost(problem, **FINE)
+    fine = CodeCost.fine(problem)
     power = _power(fine, np.stack([code.array for code in codes])).sum(axis=0)
     power = np.where(power < _ZERO_POWER, 0.0, power)
     with np.errstate(divide="ignore"):
@@ -337,7 +337,7 @@ def polish_jointly(problem: SearchProblem, ranked: Codes) -> Iterator[tuple[Code
         The best so far, and the fraction done; after every piece of work, so that the caller may
         stop.
     """
-    fine = CodeCost(problem, **FINE)
+    fine = CodeCost.fine(problem)
     costs = np.concatenate([joint_cost(fine, codes[None]) for codes in ranked])
     # a curved path has so many more frequencies
     leaders = np.argsort(costs, kind="stable")[: 4 if problem.straight else 1]

@@ -48,7 +48,7 @@ class Judge:
         coarse = int(np.clip(_SAMPLES // problem.chips, 8, 64))
         noise = CodeCost(self._problem, oversampling=coarse)
         self._coarse = (noise.instead("min-mtf"), noise)
-        noise = CodeCost(self._problem, oversampling=64, dtype=np.float64)
+        noise = CodeCost.fine(self._problem)
         self._fine = (noise.instead("min-mtf"), noise, noise.instead("mse"))
         self._mirrored = problem.response is None and all(
             uniform_length_px(s.trajectory) is not None for s in problem.scenarios

@@ -23,7 +23,7 @@ import numpy as np
 import cep
 from cep.photographs.trial import PhotoTrial
 from cep.search.chip_count import STANDARD_CHIPS, STANDARD_EXPOSURE_S
-from cep.search.cost import FINE, CodeCost
+from cep.search.cost import CodeCost
 from cep.search.exposures import ExposureFinder
 from cep.search.frame_error import FrameError
 from cep.search.problem import SearchProblem
@@ -75,7 +75,7 @@ def compare_equal_codes(scenes: list[FloatArray], count: int) -> None:
             for code in finder.codes(problem.camera, (), seed=seed, threads=None)
         ]
         codes = [*dict.fromkeys(searched)]
-        costs_db = CodeCost(problem, **FINE).cost_of(np.array([code.array for code in codes]))
+        costs_db = CodeCost.fine(problem).cost_of(np.array([code.array for code in codes]))
         errors_db = FrameError(problem).of_codes_db(codes)
         levels_db = trial_of(problem, scenes).psnr_db(codes).mean(axis=1)
         correlations = [

@@ -129,6 +129,16 @@ def test_otf_of_a_resampled_path_does_not_change_where_samples_are_added(seed: i
     assert denser.length_px == pytest.approx(motion.length_px)
 
 
+def test_equal_samples_are_one_path() -> None:
+    path = Trajectory.straight(12.0)
+    again = replace(path, xy=path.xy * [1, -1])  # its zeros are -0.0
+    assert path == again
+    assert hash(path) == hash(again)
+    others = (Trajectory.straight(13.0), path.reversed(), replace(path, direction="known"), "path")
+    assert all(path != other for other in others)
+    assert replace(path, t=path.t) in {path}
+
+
 @pytest.mark.parametrize("size", [41, 64])
 def test_psf_sums_to_one_with_centroid_at_the_centre(size: int) -> None:
     psf = wiggle(3).psf(size)

@@ -19,7 +19,7 @@ from cep.search.annealing.cooling import anneal_chain
 from cep.search.annealing.polish import Polished, polish
 from cep.search.annealing.sweeps import can_sweep, sweep_chain, sweep_tables
 from cep.search.annealing.terms import lay_out
-from cep.search.cost import FINE, CodeCost, sample_count
+from cep.search.cost import CodeCost, sample_count
 from cep.search.problem import SearchProblem
 from cep.search.search_result import SearchResult, Stopped
 from motdiff.types import FloatArray
@@ -141,7 +141,7 @@ def anneal(
     longest = _LONGEST
     if can_sweep(problem):
         # what is best on the coarse samples need not be so between them
-        ranking = judge = judge or CodeCost(problem, **FINE)
+        ranking = judge = judge or CodeCost.fine(problem)
         longest = _LONGEST_SWEPT
     elites = Elites(ranking.cost_of, _ELITES)
     seeds = np.array([*starts, problem.random_codes(1, rng=rng)[0]], dtype=np.int8)
@@ -178,7 +178,7 @@ def anneal(
             progress(1.0 if over else MOVES_SHARE + (1 - MOVES_SHARE) * piece.done, piece.code)
 
     best = ShutterCode(elites.ranked()[0])
-    fine = judge or CodeCost(problem, **FINE)
+    fine = judge or CodeCost.fine(problem)
     polished = Polished(best, fine.exact_cost(best), 0.0)
     polished, stopped = budget.polished(
         polished, polish(fine, elites.ranked(), swaps=swaps), report, stopped=stopped

@@ -44,7 +44,7 @@ def test_the_baselines_of_a_straight_line():
         "length-only code",
         "random code, median",
     }
-    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost.fine(problem)
     for row in rows.values():
         assert row.cost_db == judge.exact_cost(row.code)
         assert row.within_limits == (7 <= row.code.open_chips <= 9)
@@ -61,7 +61,7 @@ def test_no_other_single_run_beats_the_snapshot(objective, chips):
     problem = SearchProblem.along(BENT, chips=chips, open_range=(3, 6), objective=objective)
     found = named(problem)["best snapshot"]
     assert found.code.pulses == 1
-    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost.fine(problem)
     starts = range(0, chips, 1 if chips == 9 else 7)
     best = min(
         judge.exact_cost(ShutterCode(("0" * first + "1" * length).ljust(chips, "0")))
@@ -73,7 +73,7 @@ def test_no_other_single_run_beats_the_snapshot(objective, chips):
 
 def test_the_random_code_is_the_middle_one():
     problem = SearchProblem.along(BENT, chips=9, open_range=(3, 6), objective="mse")
-    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost.fine(problem)
     low, high = np.percentile(
         judge.cost_of(problem.random_codes(100, rng=np.random.default_rng(5))), (10, 90)
     )
@@ -191,7 +191,7 @@ def problems(draw):
 def test_no_baseline_within_the_limits_beats_the_code(problem, steps, seed):
     found = search_code(problem, SearchOptions(steps=steps, seed=seed), threads=1)
     assert problem.allows(found.code)
-    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost.fine(problem)
     assert found.objective == judge.exact_cost(found.code)
     for row in found.baselines:
         assert row.within_limits == problem.allows(row.code)

@@ -101,7 +101,7 @@ def test_dark_current_counts_alike_in_figures_objectives_and_expectations():
     dark = replace(CAMERA, dark_current_e_s=1e5)
     warm = replace(problem(objective="mse", direction="forward"), camera=dark, chip_ns=20_000_000)
     codes = [ShutterCode(code.bits, warm.chip_ns) for code in CODES]
-    judged = CodeCost(warm, oversampling=64, dtype=np.float64)
+    judged = CodeCost.fine(warm)
     expected = expected_psnr_db(warm, codes, noise=[light_noise(dark, codes)])[:, 0]
     for code, psnr in zip(codes, expected, strict=True):
         assert warm.measure(code).mse_db == pytest.approx(measure(BENT, code, camera=dark).mse_db)

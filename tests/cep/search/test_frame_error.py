@@ -12,7 +12,7 @@ from cep.optics.exposure import coded_psf
 from cep.optics.scene import PHOTO, noise_variance
 from cep.photographs.scenes import photographs
 from cep.photographs.trial import JUDGED_PX, PhotoTrial, border_px
-from cep.search.cost import FINE, CodeCost
+from cep.search.cost import CodeCost
 from cep.search.exposures import ExposureFinder, kind_of
 from cep.search.frame_error import FrameError, codes_of_a_frame, is_framed
 from cep.search.problem import Scenario, SearchProblem, speed_range
@@ -87,7 +87,7 @@ def test_it_tells_codes_apart_as_photographs_do_where_the_objective_does_not(wid
     arc = Trajectory.from_samples(np.stack([53.5 * t, width_px * t**2], axis=1), direction="known")
     problem = SearchProblem.along(arc, chips=52, camera=CAMERA, objective="mse")
     codes = [STEADY, FRAGILE]
-    objective_db = CodeCost(problem, **FINE).cost_of(np.array([code.array for code in codes]))
+    objective_db = CodeCost.fine(problem).cost_of(np.array([code.array for code in codes]))
     assert np.diff(objective_db)[0] < 0.05
     assert np.diff(FrameError(problem).of_codes_db(codes))[0] > 1
     photographs = [(data.camera() / 255.0) ** 2.2, (data.astronaut().mean(axis=2) / 255) ** 2.2]

@@ -2,7 +2,6 @@
 
 import dataclasses
 
-import numpy as np
 import pytest
 
 from cep.files.code_files import read_code
@@ -19,7 +18,7 @@ BENT = Trajectory.from_samples([[0, 0], [9, 3], [14, 12]])
 
 
 def judge_of(problem):
-    return CodeCost(problem, oversampling=64, dtype=np.float64)
+    return CodeCost.fine(problem)
 
 
 @pytest.mark.parametrize("objective", sorted({*OBJECTIVES} - {"min-mtf"}))

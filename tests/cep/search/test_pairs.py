@@ -16,7 +16,7 @@ from cep.search.annealing.anneal import anneal
 from cep.search.annealing.proposals import LoopLimits, keeps_runs
 from cep.search.baselines import compare
 from cep.search.code_search import SearchOptions, search_code
-from cep.search.cost import FINE, CodeCost
+from cep.search.cost import CodeCost
 from cep.search.expected import joint_psnr_db, light_noise
 from cep.search.limits import Limits, RunLimits
 from cep.search.optimize import optimize
@@ -47,7 +47,7 @@ def every_code(problem):
 @pytest.mark.parametrize("path", [STRAIGHT, replace(arc(), direction="unknown")])
 def test_the_search_finds_the_best_of_all_pairs(path, objective):
     problem = pair(path, objective=objective)
-    lowest = CodeCost(problem, **FINE).cost_of(every_code(problem)).min()
+    lowest = CodeCost.fine(problem).cost_of(every_code(problem)).min()
     outcome = anneal(problem, rng=np.random.default_rng(0), steps=100_000)
     assert outcome.objective == pytest.approx(lowest, abs=1e-9)
 
@@ -55,14 +55,14 @@ def test_the_search_finds_the_best_of_all_pairs(path, objective):
 @pytest.mark.parametrize("objective", sorted(OBJECTIVES))
 def test_a_code_costs_as_much_as_its_complement(objective):
     problem = pair(arc(), objective=objective, direction="unknown")
-    cost = CodeCost(problem, **FINE)
+    cost = CodeCost.fine(problem)
     codes = problem.random_codes(50, rng=np.random.default_rng(1))
     assert cost.cost_of(1 - codes) == pytest.approx(cost.cost_of(codes), abs=1e-9)
 
 
 def test_the_cost_is_that_of_both_powers_at_half_of_the_light():
     problem = pair(arc(), objective="mse", direction="forward")
-    cost = CodeCost(problem, **FINE)
+    cost = CodeCost.fine(problem)
     (part,) = cost.parts
     codes = [ShutterCode("1101000110"), ShutterCode("0010111001")]
     noise = noise_variance(CAMERA, 0.5)
@@ -90,9 +90,9 @@ def test_a_shutter_as_fast_to_open_as_to_close_has_the_exact_complement():
     codes = pair(arc(), **options).random_codes(20, rng=np.random.default_rng(3))
     codes = codes[:, [0, *range(10)]]  # alike at the ends, where a ramp may lie outside
     problem = pair(arc(), chips=11, **options)
-    alone = CodeCost(problem.of_one_camera, **FINE)
+    alone = CodeCost.fine(problem.of_one_camera)
     powers = [(alone.otf(chips) ** 2).sum(axis=1) for chips in (codes, 1 - codes)]
-    both = CodeCost(problem, **FINE)
+    both = CodeCost.fine(problem)
     power = (both.otf(codes) ** 2).sum(axis=1) + both.floor
     np.testing.assert_allclose(power, sum(powers) / 2, atol=1e-9)
 
@@ -125,7 +125,7 @@ def test_a_search_within_limits_returns_a_code_whose_complement_keeps_them():
     assert alone.allows(outcome.code)
     assert alone.allows(outcome.code.complement())
     assert outcome.objective == pytest.approx(
-        CodeCost(problem, **FINE).cost_of(every_code(problem)).min(), abs=1e-9
+        CodeCost.fine(problem).cost_of(every_code(problem)).min(), abs=1e-9
     )
     assert not any(row.name.startswith("open shutter") for row in outcome.baselines)
 

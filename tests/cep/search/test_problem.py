@@ -1,7 +1,8 @@
 """The search problem: limits that conflict, and what measuring under a real shutter
 means."""
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -58,6 +59,8 @@ def test_drawn_codes_keep_every_limit(seed, chips, data):
             {"open_range": (2, 4), "runs": RunLimits(min_open=5)},
             "min_open: runs of 5 open chips conflict with at most 4 open chips",
         ),
+        ({"open_range": (2, 4.5)}, "open_range: must be two whole numbers, "),
+        ({"frames": True}, "frames: must be 1, or 2 for a pair"),
         ({"response": SLOW}, "response: needs a motion (scenarios)"),
     ],
 )
@@ -78,6 +81,15 @@ def test_bad_problems_are_named(options, line):
 def test_limits_on_runs_are_whole_numbers(limit, line):
     with pytest.raises(ValueError, match=f"^{line}$"):
         RunLimits(**limit)
+
+
+def test_whole_numbers_of_numpy_and_lists_are_taken():
+    runs = RunLimits(min_open=np.int64(2), max_pulses=np.int32(3))
+    problem = SearchProblem(chips=np.int64(8), open_range=[np.int16(2), 6], runs=runs)
+    assert problem == SearchProblem(
+        chips=8, open_range=(2, 6), runs=RunLimits(min_open=2, max_pulses=3)
+    )
+    assert json.loads(json.dumps(asdict(problem.runs)))["min_open"] == 2
 
 
 def test_measuring_counts_every_scenario_direction_and_the_shutter():

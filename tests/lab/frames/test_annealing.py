@@ -65,7 +65,7 @@ def every_pair(problem):
 @pytest.mark.parametrize("name", SHORT)
 def test_no_pair_of_short_codes_is_better(name, objective):
     problem = replace(SHORT[name], objective=objective)
-    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost.fine(problem)
     pairs = every_pair(problem)
     costs = np.concatenate([joint_cost(fine, pairs[i : i + 64]) for i in range(0, len(pairs), 64)])
     found = anneal_frames(
@@ -160,7 +160,7 @@ def test_no_start_beats_the_frames_returned():
     """Also where the coarse samples that rank the codes would drop it."""
     path = Trajectory.straight(17.3)
     problem = SearchProblem.along(path, chips=16, open_range=(6, 9), objective="min-mtf")
-    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost.fine(problem)
     codes = problem.random_codes(60, rng=np.random.default_rng(2))
     starts = [[ShutterCode(code)] * 2 for code in codes]
     best = joint_cost(fine, np.repeat(codes[:, None], 2, axis=1)).min()
@@ -172,7 +172,7 @@ def test_no_start_beats_the_frames_returned():
 
 def test_two_frames_beat_the_best_code_played_twice():
     problem = SearchProblem(chips=16, open_range=(8, 8), objective="noise")
-    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost.fine(problem)
     best = fine.cost_of(every_code(problem)).min()
     found = anneal_frames(problem, 2, rng=np.random.default_rng(0), steps=60_000, threads=1)
     assert found.noise_gain_db < best - 10 * np.log10(2) - 0.3

@@ -37,7 +37,7 @@ def all_codes(problem):
 def brute_force(problem):
     """Best exact cost over every code; those whose sampled cost is already hopeless are
     skipped."""
-    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost.fine(problem)
     codes = all_codes(problem)
     # a continuum minimum only raises the cost
     sampled = fine.cost_of(codes)
@@ -93,18 +93,18 @@ def test_cost_is_what_measure_says():
     code = ShutterCode("1110111001")
     for name, field, factor in (("noise", "noise_gain_db", 1), ("mse", "mse_db", 1)):
         problem = SearchProblem.along(path, chips=10, objective=name, direction="unknown")
-        cost = CodeCost(problem, oversampling=64, dtype=np.float64).exact_cost(code)
+        cost = CodeCost.fine(problem).exact_cost(code)
         measured = [getattr(measure(p, code, budget=0), field) for p in (path, path.reversed())]
         assert cost == pytest.approx(factor * max(measured), abs=1e-9)
         assert getattr(problem.measure(code, budget=0), field) == pytest.approx(
             max(measured), abs=1e-12
         )
     straight = SearchProblem.along(Trajectory.straight(14.3), chips=10)
-    cost = CodeCost(straight, oversampling=64, dtype=np.float64).exact_cost(code)
+    cost = CodeCost.fine(straight).exact_cost(code)
     assert cost == pytest.approx(
         -20 * np.log10(measure(Trajectory.straight(14.3), code).min_mtf), abs=1e-6
     )
-    circle = CodeCost(SearchProblem(chips=10), oversampling=64, dtype=np.float64).exact_cost(code)
+    circle = CodeCost.fine(SearchProblem(chips=10)).exact_cost(code)
     assert circle == pytest.approx(-20 * np.log10(min_chip(code) / 10), abs=1e-6)
 
 
@@ -115,7 +115,7 @@ def test_scenarios_combine_by_rule_and_in_any_order():
 
     def costs(scenarios, rule):
         problem = SearchProblem(chips=10, scenarios=scenarios, objective="noise", rule=rule)
-        return CodeCost(problem, oversampling=64, dtype=np.float64).cost_of(codes)
+        return CodeCost.fine(problem).cost_of(codes)
 
     single = np.array([costs((path,), "worst") for path in paths])
     assert np.allclose(costs(paths, "worst"), single.max(axis=0))
@@ -197,7 +197,7 @@ def test_interrupt_returns_the_best_so_far():
     assert 0 < found.steps < 10**9
     fractions = [fraction for fraction, _ in seen]
     assert fractions == sorted(fractions)
-    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost.fine(problem)
     assert found.objective <= fine.exact_cost(seen[-1][1]) + 1e-4
 
 
@@ -274,7 +274,7 @@ def test_a_polish_ends_with_the_time_or_ctrl_c(monkeypatch, ends):
     assert found.stopped == {"in time": "steps", "late": "time", "ctrl-c": "interrupted"}[ends]
     assert fractions[-1] == 1.0 if ends != "ctrl-c" else 0.9 < fractions[-1] < 1.0
     # what the polish had reached is kept
-    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost.fine(problem)
     assert found.objective == fine.exact_cost(found.code)
     assert found.code == told[-1][1]
     inside = sum(0.9 <= fraction < 1.0 for fraction in fractions)

@@ -39,7 +39,7 @@ PROBLEMS = {
 
 
 def started(problem):
-    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost.fine(problem)
     code = problem.random_codes(1, rng=np.random.default_rng(3))[0].astype(np.int8)
     return judge, code, neighbours(problem, code, swaps=True)
 
@@ -71,7 +71,7 @@ def test_cheapest_neighbours(name, objective):
 def test_a_polished_code_has_no_better_neighbour(objective):
     problem = SearchProblem(chips=20, open_range=(10, 10), objective=objective)
     ranked = problem.random_codes(3, rng=np.random.default_rng(0)).astype(np.int8)
-    fine = CodeCost(problem, oversampling=64, dtype=np.float64)
+    fine = CodeCost.fine(problem)
     told = list(polish(fine, ranked))
     costs = [one.cost for one in told]
     fractions = [one.done for one in told]

@@ -36,7 +36,7 @@ def fine_powers(objective, codes):
 def test_moves_keep_the_limits_and_the_deepest_codes(name):
     problem = PROBLEMS[name]
     assert can_sweep(problem)
-    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost.fine(problem)
     tables = sweep_tables(CodeCost(problem, oversampling=8), judge)
     random = np.array([77], np.uint64)
     code = problem.random_codes(1, rng=np.random.default_rng(0))[0].astype(np.int8)
@@ -66,7 +66,7 @@ def test_moves_keep_the_limits_and_the_deepest_codes(name):
 
 def test_a_cold_sweep_only_improves():
     problem = PROBLEMS["circle"]
-    judge = CodeCost(problem, oversampling=64, dtype=np.float64)
+    judge = CodeCost.fine(problem)
     tables = sweep_tables(CodeCost(problem, oversampling=8), judge)
     random = np.array([5], np.uint64)
     code = problem.random_codes(1, rng=np.random.default_rng(3))[0].astype(np.int8)
@@ -111,7 +111,7 @@ def test_the_best_of_all_codes_is_found(light):
     problem = SearchProblem(chips=12, open_range=light)
     every = np.array(list(product((0, 1), repeat=12)), np.int8)
     every = every[problem.satisfied(every)]
-    best = fine_powers(CodeCost(problem, oversampling=64, dtype=np.float64), every).max() ** 0.5
+    best = fine_powers(CodeCost.fine(problem), every).max() ** 0.5
     found = anneal(problem, rng=np.random.default_rng(1), steps=400_000, threads=1)
     assert min_chip(found.code) == pytest.approx(best, rel=1e-3)
 
