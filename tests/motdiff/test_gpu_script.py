@@ -35,12 +35,12 @@ def gpu_sh(*arguments, **settings):
 
 @pytest.mark.slow(reason="three trainings in processes of their own, with classical searches")
 def test_a_rehearsal_in_two_calls_ends_with_weights_that_estimate(tmp_path):
-    code, _, told = gpu_sh("--rehearse", tmp_path, CALLS="1")
+    code, _, told = gpu_sh("--rehearse", tmp_path, CALLS="1", MINUTES="0.15")
     assert code == 0, told
     assert re.search(r"step \d+: validation MNC 0\.\d", told)
     first = read_checkpoint(tmp_path / "run" / "checkpoint").step
     packed = (tmp_path / "photos.zip").stat()
-    code, _, told = gpu_sh("--rehearse", tmp_path, CALLS="1")
+    code, _, told = gpu_sh("--rehearse", tmp_path, CALLS="1", MINUTES="0.15")
     assert code == 0, told
     assert told.startswith(f"resumed at step {first} of ")
     assert (tmp_path / "photos.zip").stat() == packed
