@@ -16,12 +16,13 @@ difference in one of these commands does not show in all other cases.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from lab.studies.goldens.cases import case_names
 from lab.studies.goldens.comparison import compare
-from lab.studies.goldens.recording import record
+from lab.studies.goldens.recording import PreparationError, record
+from lab.studies.inputs import study_parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -32,9 +33,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     int
         Exit code: 0 done and nothing differs, 1 something differs, 2 bad input.
     """
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = study_parser(__doc__)
     verbs = parser.add_subparsers(required=True, dest="verb")
     recording = verbs.add_parser("record", help="run all cases of a checkout")
     recording.add_argument("--root", type=Path, required=True, help="the checkout, with its .venv")
@@ -53,8 +52,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if options.verb == "record":
         if options.out.exists():
             parser.error(f"{options.out}: exists")
-        record(options.root, options.out, inputs=options.inputs, only=options.only)
+        if not (options.root / ".venv" / "bin" / "cep").exists():
+            parser.error(f"--root: {options.root} is no checkout with a .venv/bin/cep")
+        if options.inputs is not None and not options.inputs.is_dir():
+            parser.error(f"--inputs: there is no folder {options.inputs}")
+        try:
+            record(options.root, options.out, inputs=options.inputs, only=options.only)
+        except PreparationError as error:
+            parser.error(str(error))
         return 0
+    for folder in (options.before, options.after):
+        if not case_names([folder]):
+            parser.error(f"{folder}: is no record: it has no NAME/files.json")
     return 0 if compare(options.before, options.after, most_lines=options.lines) else 1
 
 

@@ -14,7 +14,9 @@ from lab.studies.goldens.placeholders import as_text
 RELATIVE = 1e-6
 """Numbers that differ by less, relatively, count as equal."""
 
-NUMBER = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+)(?:[eE][-+]?\d+)?")
+NUMBER = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?\d+[eE][-+]?\d+(?!\w)")
+"""Numbers with a point or an exponent. Whole ones are text: codes, hashes and counts are equal or
+differ."""
 
 
 def near_numbers(before: str, after: str) -> int | None:
@@ -54,7 +56,7 @@ class Comparison:
         """Return the lines that say what differs in a case."""
         folders = (self._before / name, self._after / name)
         for folder, record_folder in zip(folders, (self._before, self._after), strict=True):
-            if not folder.is_dir():
+            if not (folder / "files.json").is_file():
                 return [f"is not in {record_folder}"]
         lines = []
         for stream in ("exit", "stdout", "stderr"):

@@ -163,7 +163,7 @@ def drawn_tables_without_costs(text: str) -> str:
         cells = in_columns(rows)
         if COSTS & {*cells[0], *(row[0] for row in cells)}:
             fresh = [cells[0], *(without_costs(cells[0], row) for row in cells[1:])]
-            lines[number - 2 : last + 1] = ["", *(" | ".join(row) for row in fresh), ""]
+            lines[max(0, number - 2) : last + 1] = ["", *(" | ".join(row) for row in fresh), ""]
             return "\n".join(
                 [*lines[:number], drawn_tables_without_costs("\n".join(lines[number:]))]
             )

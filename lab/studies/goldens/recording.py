@@ -28,6 +28,10 @@ LIMIT_S = 240.0
 """A case that runs longer is ended, and recorded as such."""
 
 
+class PreparationError(RuntimeError):
+    """A command failed that others need."""
+
+
 @dataclass(frozen=True)
 class Outcome:
     """What a command left behind.
@@ -69,11 +73,17 @@ class Recorder:
         self.seconds: dict[str, float] = {}
 
     def prepare(self, folder: Path) -> None:
-        """Make the inputs in a folder, and record the commands that do."""
+        """Make the inputs in a folder, and record the commands that do.
+
+        Raises
+        ------
+        PreparationError
+            If one of them fails: the cases would all be recorded without its input.
+        """
         for name, data in drawn_inputs().items():
             write_file(folder / name, data)
         for case in PREPARATION:
-            self._record(case, folder)
+            require_success(case.name, self._record(case, folder))
         for source, copy in FOLDER_PHOTOS.items():
             write_file(folder / copy, (folder / source).read_bytes())
 
@@ -86,7 +96,7 @@ class Recorder:
         finally:
             shutil.rmtree(folder)
 
-    def _record(self, case: Case, folder: Path) -> None:
+    def _record(self, case: Case, folder: Path) -> Outcome:
         before = digests(folder)
         started = time.monotonic()
         if case.emulator:
@@ -96,11 +106,15 @@ class Recorder:
             outcome = self._run(case, folder)
         self.seconds[case.name] = round(time.monotonic() - started, 1)
         self._store(case, folder, outcome, before)
+        return outcome
 
     def _run(self, case: Case, folder: Path) -> Outcome:
         if case.first:
-            self._start(shlex.split(case.first), folder).communicate(timeout=LIMIT_S)
-        process = self._start(shlex.split(case.argv), folder)
+            require_success(case.name, self._finish(case.first, folder))
+        return self._finish(case.argv, folder)
+
+    def _finish(self, command: str, folder: Path) -> Outcome:
+        process = self._start(shlex.split(command), folder)
         try:
             stdout, stderr = process.communicate(timeout=LIMIT_S)
             status = str(process.returncode)
@@ -191,6 +205,13 @@ class Recorder:
         (target / "files.json").write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
 
 
+def require_success(name: str, outcome: Outcome) -> None:
+    """Refuse to go on after a command that prepares a case and failed."""
+    if outcome.exit_status != "0":
+        reason = " ".join(outcome.stderr.split())
+        raise PreparationError(f"{name}: its preparation: exit {outcome.exit_status}: {reason}")
+
+
 def digests(folder: Path) -> dict[str, str]:
     """Return the SHA-256 of the files of a folder, but for byte code and finished cells."""
     return {
@@ -221,6 +242,11 @@ def record(root: Path, target: Path, *, inputs: Path | None, only: str) -> None:
         Inputs of an earlier record, to be used for the cases.
     only : str
         Pattern of the names of cases to run; all when empty.
+
+    Raises
+    ------
+    PreparationError
+        If a command fails that makes inputs.
     """
     target.mkdir(parents=True)
     started = time.monotonic()
