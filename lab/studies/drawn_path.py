@@ -22,9 +22,10 @@ import torch
 from cep.optics.code import ShutterCode
 from cep.search.code_search import SearchOptions, search_code
 from cep.search.problem import SearchProblem
+from lab.bench.blind.protocol import synthetic_trace
 from lab.evaluation.map_tracing import trace_map
 from lab.evaluation.metrics import ordered_distance_px
-from lab.studies.inputs import photos, smooth_trace, study_parser
+from lab.studies.inputs import large_scenes, photos, refusals, study_parser
 from motdiff.blind_search.coarse_to_fine import refined
 from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import quick_search
@@ -45,7 +46,7 @@ WAYS = ("kernel", "map", "refined kernel", "refined map")
 
 
 def motions(rng: np.random.Generator) -> dict[str, Trajectory]:
-    trace = smooth_trace(rng, duration_s=30.0, rate_hz=200.0)
+    trace = synthetic_trace(rng, duration_s=30.0, rate_hz=200.0)
     return {
         "walk of 60 px": boracchi_foi(rng),
         "walk of 20 px": boracchi_foi(rng, max_length_px=20.0),
@@ -102,7 +103,8 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=16)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    scenes = [light for _, light in photos(options.photos) if min(light.shape[:2]) >= SIDE_PX]
+    with refusals(parser):
+        scenes = [light for _, light in large_scenes(photos(options.photos), least_px=SIDE_PX)]
     network = load_network()
     scores: dict[str, dict[str, list[tuple[float, float, float]]]] = {}
     for number in range(options.count):

@@ -22,6 +22,7 @@ import numpy as np
 
 from cep.calibration.calibrate import estimate_motion
 from lab.studies.inputs import photos, study_parser
+from lab.studies.motions import circular_arc
 from motdiff.crops import pick_crops
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi
@@ -49,12 +50,8 @@ def motion_of(index: int, rng: np.random.Generator) -> Trajectory:
     length_px = rng.uniform(20, 40)
     if index % 2 == 0:
         return boracchi_foi(rng, max_length_px=length_px)
-    angle = rng.choice((-1, 1)) * np.linspace(0, rng.uniform(0.5, 3.0), 200) + rng.uniform(
-        0, 2 * np.pi
-    )
-    return Trajectory.from_samples(
-        length_px / np.ptp(angle) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    )
+    turn_rad = rng.choice((-1, 1)) * rng.uniform(0.5, 3.0)
+    return circular_arc(turn_rad, start_rad=rng.uniform(0, 2 * np.pi), length_px=length_px)
 
 
 def scenes() -> list[FloatArray]:

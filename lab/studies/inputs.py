@@ -1,46 +1,97 @@
-"""What the studies share: their help, photos (a folder, or scikit-image's own), a gyroscope trace,
-and rows of results, which outlive a run that ends early.
+"""What the studies share: their help, photos (a folder, or scikit-image's own), and rows of
+results, which outlive a run that ends early.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
-from lab.bench.blind.protocol import synthetic_trace
-from motdiff.gyro import GyroTrace
-from motdiff.photo_values import to_linear
+from motdiff.crops import pick_crops
+from motdiff.photo_values import luminance, to_linear
 from motdiff.types import FloatArray
 
 BUNDLED = ("camera", "astronaut", "coffee", "chelsea", "brick", "coins", "page", "moon")
+PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".bmp"})
+
+# -- photos ---------------------------------------------------------------------------------------
 
 
 def photos(folder: Path | None) -> list[tuple[str, FloatArray]]:
-    import cv2
+    """Names and linear light of a folder's photos; of scikit-image's without one.
 
+    Raises
+    ------
+    ValueError
+        If the folder holds no photos, or one cannot be read.
+    """
     if folder is None:
         from skimage import data
 
         return [(name, to_linear(getattr(data, name)() / 255.0)) for name in BUNDLED]
-    images = [(p.name, cv2.imread(str(p), cv2.IMREAD_COLOR)) for p in photo_files(folder)]
-    return [
-        (name, to_linear(image[..., ::-1] / 255.0)) for name, image in images if image is not None
-    ]
+    return [(path.name, read_light(path)) for path in photo_files(folder)]
 
 
 def photo_files(folder: Path) -> list[Path]:
-    suffixes = {".png", ".jpg", ".jpeg", ".tif", ".bmp"}
-    return sorted(path for path in folder.rglob("*") if path.suffix.lower() in suffixes)
+    """Photos of a folder and its subfolders; ValueError without any."""
+    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in PICTURES)
+    if not files:
+        raise ValueError(f"{folder}: holds no photos ({', '.join(sorted(PICTURES))})")
+    return files
 
 
-def smooth_trace(rng: np.random.Generator, *, duration_s: float, rate_hz: float) -> GyroTrace:
-    """Synthetic hand shake, for studies without a recording."""
-    return synthetic_trace(rng, duration_s=duration_s, rate_hz=rate_hz)
+def read_light(file: Path) -> FloatArray:
+    """Linear light (H, W, 3) of a photo; ValueError where it cannot be read."""
+    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    if image is None:
+        raise ValueError(f"{file}: cannot be read as a photo")
+    return to_linear(image[..., ::-1] / 255.0)
+
+
+def large_scenes(
+    scenes: Iterable[tuple[str, FloatArray]], *, least_px: int
+) -> list[tuple[str, FloatArray]]:
+    """Those whose sides have so many px at least; ValueError without any."""
+    large = [(name, light) for name, light in scenes if min(light.shape[:2]) >= least_px]
+    if not large:
+        raise ValueError(f"photos: none has sides of {least_px} px or more")
+    return large
+
+
+@cache
+def _grey_bundled() -> tuple[FloatArray, ...]:
+    return tuple(luminance(light) for _, light in photos(None))
+
+
+def textured_scene(folder: str, *, side_px: int, rng: np.random.Generator) -> FloatArray:
+    """Grey scene of a photo of a folder, or of scikit-image where it is empty.
+
+    The photo's most textured part, ``side_px`` wide, is in the middle of twice that size.
+    """
+    if folder:
+        files = photo_files(Path(folder))
+        grey = luminance(read_light(files[rng.integers(len(files))]))
+    else:
+        grey = _grey_bundled()[rng.integers(len(_grey_bundled()))]
+    row, column = pick_crops(grey, size=side_px, count=1)[0]
+    height, width = (min(side_px, n) for n in grey.shape)
+    down, right = ((side_px - n, side_px) for n in (height, width))
+    around = side_px // 2
+    wide = np.pad(
+        grey, [(around, around + down[0]), (around, around + right[0])], mode="symmetric"
+    )
+    return wide[row : row + 2 * side_px, column : column + 2 * side_px]
+
+
+# -- rows of results ------------------------------------------------------------------------------
 
 
 def kept_rows(file: Path) -> Iterator[dict[str, Any]]:
@@ -58,13 +109,36 @@ def finished_rows(file: Path) -> list[dict[str, Any]]:
     return list(kept_rows(file)) if file.exists() else []
 
 
+def case_rows(file: Path) -> list[dict[str, Any]]:
+    """Rows of the file that a run goes on with, each with its ``case``.
+
+    A case holds all that its figures depend on: options, and the version of the estimator. Rows
+    of other cases may be in the file. ValueError if a row does not say its case.
+    """
+    rows = finished_rows(file)
+    if not all("case" in row for row in rows):
+        raise ValueError(f"{file}: has rows that do not say by which options; name a new file")
+    return rows
+
+
 def finished_cases(file: Path | None) -> dict[str, dict[str, Any]]:
-    """Figures of the finished cases, by :func:`case_key`; none without a file."""
-    return {case_key(row.pop("case")): row for row in finished_rows(file)} if file else {}
+    """Figures of the finished :func:`case_rows`, by :func:`case_key`; none without a file."""
+    return {case_key(row.pop("case")): row for row in case_rows(file)} if file else {}
 
 
-def case_key(case: object) -> str:
+def case_key(case: Mapping[str, object]) -> str:
+    """Key of a case: its options as JSON, whatever their order."""
     return json.dumps(case, sort_keys=True)
+
+
+def check_version(rows: Iterable[Mapping[str, Any]]) -> None:
+    """Refuse rows of several versions of an estimator: their means would say nothing.
+
+    Rows of before versions were written, without a case, count as a version of their own.
+    """
+    versions = {row.get("case", {}).get("version") for row in rows}
+    if len(versions) > 1:
+        raise ValueError(f"rows: are of {len(versions)} versions of the estimator; compare files")
 
 
 def add_row(file: Path, row: Mapping[str, Any]) -> None:
@@ -74,8 +148,20 @@ def add_row(file: Path, row: Mapping[str, Any]) -> None:
         stream.write("\n" * cut_off + json.dumps(row) + "\n")
 
 
+# -- command lines --------------------------------------------------------------------------------
+
+
 def study_parser(documentation: str | None) -> argparse.ArgumentParser:
     """Parser of a study, whose help is the text at the top of its file."""
     return argparse.ArgumentParser(
         description=documentation, formatter_class=argparse.RawDescriptionHelpFormatter
     )
+
+
+@contextmanager
+def refusals(parser: argparse.ArgumentParser) -> Iterator[None]:
+    """Print what is wrong with an input as one line, and end with exit code 2."""
+    try:
+        yield
+    except (ValueError, OSError) as refusal:
+        parser.error(str(refusal))

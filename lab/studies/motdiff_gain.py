@@ -12,16 +12,16 @@ the diffusion network. ``uncorrected`` is ``motdiff`` without the correction. A 
 them need is run once, and its time counts for each. CONFIG is a run's TOML file with prepared
 samples; there the diffusion network alone is measured too. DIR and NAME are those of ``python -m
 lab bench blind``. One thread; a row is appended as soon as it is done, and an interrupted bench
-goes on where it stopped.
+goes on where it stopped: a row says its photos and the version of the estimators.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from itertools import islice
+from itertools import islice, product
 from pathlib import Path
 from typing import Any
 
@@ -29,12 +29,21 @@ import numpy as np
 import torch
 
 from lab.bench.blind.cases import make_case
+from lab.bench.blind.methods import version_of
 from lab.bench.blind.plan import blind_plan
 from lab.bench.blind.protocol import Protocol
 from lab.bench.statistics import mean_interval
 from lab.evaluation.draws import measure_draws
 from lab.evaluation.sets import levin_photo
-from lab.studies.inputs import add_row, kept_rows, study_parser
+from lab.studies.inputs import (
+    add_row,
+    case_key,
+    case_rows,
+    check_version,
+    kept_rows,
+    refusals,
+    study_parser,
+)
 from motdiff.blind_search.coarse_to_fine import refined
 from motdiff.estimators.base import Estimator, FoundKernels
 from motdiff.estimators.blind_estimator import BlindEstimator
@@ -298,36 +307,40 @@ def drawn(
     return figures
 
 
-def write_rows(file: Path, photos: Iterable[Photo], draws: int) -> None:
-    """Append the rows that ``file`` lacks."""
-    earlier = {row["name"]: row for row in read_rows([file])} if file.exists() else {}
-    shared = SharedSearches()
-    methods = estimators(shared)
+def missing_rows(
+    photos: Iterable[Photo],
+    earlier: Mapping[str, Mapping[str, Any]],
+    draws: int,
+    shared: Mapping[str, object],
+) -> Iterator[dict[str, object]]:
+    """Measure what the earlier rows lack; ``shared`` is what cases say beside the photo's name."""
+    searches = SharedSearches()
+    methods = estimators(searches)
     network = load_network()
     correction = load_correction()
-    with torch.no_grad(), one_thread():
-        for number, photo in enumerate(photos):
-            figures = earlier.get(photo.name, {})
-            missing = {
-                name: estimator for name, estimator in methods.items() if name not in figures
-            }
-            draws_missing = (
-                photo.conditions is not None and draws > 1 and _LAST_DRAWS not in figures
-            )
-            if not missing and not draws_missing:
-                continue
-            row = row_of(photo, missing, shared)
-            if draws_missing:
-                row |= drawn(network, correction, photo, draws, number)
-            add_row(file, row)
+    for number, photo in enumerate(photos):
+        case = {"name": photo.name, **shared}
+        figures = earlier.get(case_key(case), {})
+        missing = {name: method for name, method in methods.items() if name not in figures}
+        draws_missing = photo.conditions is not None and draws > 1 and draw_count(figures) != draws
+        if not missing and not draws_missing:
+            continue
+        row = {"case": case, **row_of(photo, missing, searches)}
+        if draws_missing:
+            row |= drawn(network, correction, photo, draws, number)
+        yield row
 
 
-def read_rows(files: Iterable[Path]) -> list[dict]:
-    """Rows of files; lines of one photo are one row."""
-    rows: dict[tuple[Path, str], dict] = {}
-    for file in files:
-        for row in kept_rows(file):
-            rows.setdefault((file, row["name"]), {}).update(row)
+def draw_count(row: Mapping[str, Any]) -> int:
+    """Count the draws of each kind that a row has."""
+    return len(row[_LAST_DRAWS]["mnc"]) if _LAST_DRAWS in row else 0
+
+
+def merged_rows(lines: Iterable[dict]) -> list[dict]:
+    """Rows of a file; the lines of one case are one row."""
+    rows: dict[str, dict] = {}
+    for line in lines:
+        rows.setdefault(case_key(line.get("case", {"name": line["name"]})), {}).update(line)
     return list(rows.values())
 
 
@@ -389,21 +402,16 @@ def table(rows: list[dict]) -> Iterator[str]:
     for name, group in groups(complete):
         if group:
             yield line(name, group)
-    with_draws = [row for row in rows if _LAST_DRAWS in row]
-    for name in (
-        [f"ddim:{steps}{ending}" for steps in _STEPS for ending in ("", ", corrected")]
-        if with_draws
-        else ()
-    ):
-        of = [row[name] for row in with_draws]
+    names = [f"ddim:{steps}{ending}" for steps in _STEPS for ending in ("", ", corrected")]
+    for count, name in product(sorted({draw_count(row) for row in rows} - {0}), names):
+        of = [row[name] for row in rows if draw_count(row) == count]
         single, best, alike, covered = (
             np.mean([np.mean(figures[key]) for figures in of])
             for key in ("mnc", "best", "alike", "covered")
         )
         yield (
             f"\nDraws, {name}, {len(of)} photos: one draw {single:.3f}, best of"
-            f" {len(of[0]['mnc'])}"
-            f" {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
+            f" {count} {best:.3f}, two draws alike {alike:.3f}, truth among them {covered:.3f}"
         )
 
 
@@ -419,15 +427,31 @@ def main() -> None:
     parser.add_argument("--count", type=int, help="the first photos alone")
     options = parser.parse_args()
     if options.what == "table":
-        print("\n".join(table(read_rows(options.files))))
+        with refusals(parser):
+            rows = [row for file in options.files for row in merged_rows(kept_rows(file))]
+            check_version(rows)
+        print("\n".join(table(rows)))
         return
     if len(options.files) != 1 or (options.prepared is None) == (options.data is None):
         parser.error("rows: give one FILE, and either --prepared or --data")
-    if options.prepared is not None:
-        photos = prepared_photos(options.prepared)
-    else:
-        photos = protocol_photos(options.data, Protocol.load(options.protocol), options.gyro)
-    write_rows(options.files[0], islice(photos, options.count), options.draws)
+    (file,) = options.files
+    shared: dict[str, object] = {"version": f"{version_of('motdiff')} {version_of('pmp')}"}
+    with refusals(parser):
+        earlier = {case_key(row["case"]): row for row in merged_rows(case_rows(file))}
+        if options.prepared is not None:
+            shared["prepared"] = str(options.prepared)
+            photos = prepared_photos(options.prepared)
+        else:
+            shared |= {
+                "data": str(options.data),
+                "protocol": options.protocol,
+                "gyro": str(options.gyro),
+            }
+            protocol = Protocol.load(options.protocol)
+            photos = protocol_photos(options.data, protocol, options.gyro)
+    with torch.no_grad(), one_thread():
+        for row in missing_rows(islice(photos, options.count), earlier, options.draws, shared):
+            add_row(file, row)
 
 
 if __name__ == "__main__":

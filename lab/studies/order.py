@@ -16,7 +16,7 @@ a small light in the dark.
 `right`: the rms distance from the truth, at equal times after the best shift, is at most 1 px and
 smaller than that of the path run backwards; `any given`: one of the paths that the estimate gives
 is within 1 px. With `--results` each finished motion is a line of that file; the same command goes
-on from it.
+on from it, while the estimators' sources are the same.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass, replace
-from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,23 +34,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from cep.calibration.next_code import SURE, next_code
-from cep.files.images import read_image
 from lab.bench.coded.calibrations import codes_of_set, moved_psfs
+from lab.jobs.fingerprint import source_version
 from lab.studies.inputs import (
     add_row,
     case_key,
     finished_cases,
     photo_files,
-    photos,
-    smooth_trace,
+    refusals,
     study_parser,
+    textured_scene,
 )
-from motdiff.crops import pick_crops
-from motdiff.files.gyro_tables import read_gyro
-from motdiff.gyro import GyroTrace
+from lab.studies.motions import MOTIONS, motion_for_codes
 from motdiff.metrics import timed_distance_px
-from motdiff.motions import boracchi_foi, random_gyro_motion
-from motdiff.photo_values import luminance
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -59,9 +54,14 @@ from motdiff.types import FloatArray
 if TYPE_CHECKING:
     from motdiff.estimators.base import MotionEstimate
 
-MOTIONS = ("walks", "arcs", "gyro")
-EXPOSURES_S = (0.05, 0.1, 0.25, 0.5)
 RIGHT_PX = 1.0
+ESTIMATORS = (
+    "cep.calibration.calibrate",
+    "cep.calibration.next_code",
+    "motdiff.estimators.coded.estimator",
+    "motdiff.estimators.coded.trail_estimator",
+)
+"""Modules whose sources a row depends on, with all that they import: a row says their version."""
 CHOSEN = "open+next"  # the codes after the first are those that cep calibrate --next chooses
 LIT = 0.8  # of full scale: a light's trail at its brightest, and what is around it
 DARK = 0.01
@@ -89,34 +89,7 @@ class Case:
     light: bool
 
 
-# -- motions and photos
-
-
-@cache
-def trace_of(gyro: str) -> GyroTrace:
-    return (
-        read_gyro(gyro)
-        if gyro
-        else smooth_trace(np.random.default_rng(0), duration_s=120.0, rate_hz=200.0)
-    )
-
-
-def motion_of(case: Case, rng: np.random.Generator) -> Trajectory:
-    if case.motions == "walks":
-        return boracchi_foi(rng)
-    if case.motions == "gyro":
-        exposure_s = float(rng.choice(EXPOSURES_S))
-        extent_px = float(rng.uniform(8, 30))
-        return random_gyro_motion(
-            trace_of(case.gyro), rng, exposure_s=exposure_s, extent_px=extent_px
-        )
-    angle = rng.choice((-1, 1)) * np.linspace(0, rng.uniform(0.5, 3.0), 200) + rng.uniform(
-        0, 2 * np.pi
-    )
-    radius_px = rng.uniform(20, 60) / np.ptp(angle)
-    return Trajectory.from_samples(
-        radius_px * np.stack([np.cos(angle), np.sin(angle)], axis=1), direction="known"
-    )
+# -- photos
 
 
 def wobbled(path: Trajectory, wobble_px: float, rng: np.random.Generator) -> Trajectory:
@@ -134,36 +107,6 @@ def wobbled(path: Trajectory, wobble_px: float, rng: np.random.Generator) -> Tra
     )
 
 
-@cache
-def scene_files(folder: str) -> list[Path]:
-    files = photo_files(Path(folder))
-    if not files:
-        raise SystemExit(f"error: --photos: {folder} has no photos")
-    return files
-
-
-@cache
-def bundled() -> tuple[FloatArray, ...]:
-    return tuple(luminance(image) for _, image in photos(None))
-
-
-def scene_of(case: Case, rng: np.random.Generator) -> FloatArray:
-    """Grey scene, its most textured part of the photos' size in the middle of twice that size."""
-    if case.photos:
-        files = scene_files(case.photos)
-        grey = luminance(read_image(files[rng.integers(len(files))]))
-    else:
-        grey = bundled()[rng.integers(len(bundled()))]
-    row, column = pick_crops(grey, size=case.side_px, count=1)[0]
-    height, width = (min(case.side_px, n) for n in grey.shape)
-    down, right = ((case.side_px - n, case.side_px) for n in (height, width))
-    around = case.side_px // 2
-    wide = np.pad(
-        grey, [(around, around + down[0]), (around, around + right[0])], mode="symmetric"
-    )
-    return wide[row : row + 2 * case.side_px, column : column + 2 * case.side_px]
-
-
 def spot(scene: FloatArray, psf: FloatArray) -> FloatArray:
     """Scene of the same size with a small light in the dark, as bright as it may be."""
     night = np.full_like(scene, DARK)
@@ -176,8 +119,8 @@ def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
     # what does not depend on the codes and the noise is drawn first: all sets are compared on the
     # same
     rng = np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index])
-    path = motion_of(case, rng)
-    scene = scene_of(case, rng)
+    path = motion_for_codes(case.motions, case.gyro, rng)
+    scene = textured_scene(case.photos, side_px=case.side_px, rng=rng)
     own_scenes = [
         np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index, photo])
         for photo in range(len(case.codes))
@@ -467,12 +410,14 @@ def parsed_options() -> argparse.Namespace:
         metavar="PX",
         help="smooth error of a photo's motion, rms",
     )
-    parser.add_argument(
-        "--results", type=Path, metavar="FILE", help="JSON lines; a new file for a new estimator"
-    )
+    parser.add_argument("--results", type=Path, metavar="FILE", help="JSON lines")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    with refusals(parser):
+        if options.photos:
+            photo_files(Path(options.photos))
+        options.earlier = finished_cases(options.results)
     try:
         options.codes = {
             name: (
@@ -526,15 +471,16 @@ def case_line(case: Case, row: dict[str, object]) -> str:
 def main() -> None:
     options = parsed_options()
     cases = cases_of(options)
-    earlier = finished_cases(options.results)
-    keys = {case: case_key(asdict(case)) for case in cases}
-    rows = [(case, earlier[key]) for case, key in keys.items() if key in earlier]
-    missing = [case for case, key in keys.items() if key not in earlier]
+    version = source_version(ESTIMATORS)
+    named_cases = {case: {**asdict(case), "version": version} for case in cases}
+    keys = {case: case_key(named) for case, named in named_cases.items()}
+    rows = [(case, options.earlier[key]) for case, key in keys.items() if key in options.earlier]
+    missing = [case for case, key in keys.items() if key not in options.earlier]
     print(f"{len(cases)} motions x sets, {len(rows)} of them known", flush=True)
     try:
         for case, row in measured(missing, options.workers):
             if options.results is not None:
-                add_row(options.results, {"case": asdict(case), **row})
+                add_row(options.results, {"case": named_cases[case], **row})
             rows.append((case, row))
             print(case_line(case, row), flush=True)
     except KeyboardInterrupt:

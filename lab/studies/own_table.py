@@ -18,6 +18,7 @@ from cep.search.cost import CodeCost
 from cep.search.objectives import OBJECTIVES
 from cep.search.problem import SearchProblem, open_range_of_duty
 from lab.studies.inputs import study_parser
+from lab.studies.motions import circular_arc
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -28,9 +29,7 @@ def random_problem(rng: np.random.Generator) -> SearchProblem:
     if kind == "walk":
         path = boracchi_foi(rng, max_length_px=length)
     elif kind == "arc":
-        angle = np.linspace(0, rng.uniform(0.5, 3.0), 40)
-        radius = length / angle[-1]
-        path = Trajectory.from_samples(radius * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+        path = circular_arc(rng.uniform(0.5, 3.0), length_px=length, samples=40)
     else:
         path = Trajectory.straight(length)
     chips = int(rng.integers(16, 65))

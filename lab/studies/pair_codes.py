@@ -26,8 +26,7 @@ from cep.search.exposures import pair_exposures
 from cep.search.pairs import measure_pairs
 from cep.search.problem import SearchProblem
 from lab.studies.inputs import study_parser
-from lab.studies.order import MOTIONS
-from lab.studies.pairs import drawn_motion
+from lab.studies.motions import MOTIONS, known_motion
 from motdiff.trajectory import Trajectory
 
 CHIPS = 52
@@ -57,7 +56,7 @@ def main() -> None:
         gains: dict[str, list[tuple[float, float]]] = {}
         before: ShutterCode | None = None
         for index in range(options.count):
-            _, path, _ = drawn_motion(motions, index, seed=options.seed, gyro=options.gyro)
+            path, _ = known_motion(motions, index, seed=options.seed, gyro=options.gyro)
             problem = problem_along(path, options)
             design = search_code(problem, how).code
             alike = [e for e in pair_exposures(problem, ()) if e.kind in ("open", "snapshot")]

@@ -9,7 +9,8 @@ better of two snapshots (a quarter and an eighth of the time, in the middle), by
 through the code and its complement (`pair`), and by the same two behind a beam splitter, with half
 the light each (`split`). `pair, true path` and `open, true path` are restored along the true
 motion. PSNR in dB, light 0..1, over shifts, without the outer 30 px. With `--results` each
-finished motion is a line of that file; the same command goes on from it.
+finished motion is a line of that file; the same command goes on from it, while the restorations'
+sources are the same.
 """
 
 from __future__ import annotations
@@ -27,13 +28,23 @@ from cep.optics.code import ShutterCode
 from cep.restoration.restore import restore
 from cep.restoration.together import restore_together
 from lab.bench.statistics import mean_interval
-from lab.studies.inputs import add_row, case_key, finished_cases, study_parser
-from lab.studies.order import MOTIONS, Case, motion_of, scene_of
+from lab.jobs.fingerprint import source_version
+from lab.studies.inputs import (
+    add_row,
+    case_key,
+    finished_cases,
+    photo_files,
+    refusals,
+    study_parser,
+    textured_scene,
+)
+from lab.studies.motions import MOTIONS, known_motion
 from motdiff.metrics import psnr_up_to_shift, timed_distance_px
-from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 BORDER_PX = 30
+RESTORATIONS = ("cep.restoration.restore", "cep.restoration.together")
+"""Modules whose sources a row depends on, with all that they import: a row says their version."""
 SIDE_PX = 256
 ROWS = (
     "open",
@@ -54,40 +65,14 @@ def snapshot(chips: int, share: float) -> ShutterCode:
     return ShutterCode("0" * before + "1" * count + "0" * (chips - before - count))
 
 
-def drawn_motion(
-    motions: str, index: int, *, seed: int, gyro: str, photos: str = ""
-) -> tuple[Case, Trajectory, np.random.Generator]:
-    """Case of a motion, its path, and the generator of what is drawn after it."""
-    case = Case(
-        set="",
-        codes=(),
-        motions=motions,
-        index=index,
-        noise=0,
-        moved_px=0,
-        brightness=0,
-        scaled=0,
-        wobble_px=0,
-        side_px=SIDE_PX,
-        seed=seed,
-        photos=photos,
-        gyro=gyro,
-        light=False,
-    )
-    rng = np.random.default_rng([seed, MOTIONS.index(motions), index])
-    path = motion_of(case, rng)
-    return case, Trajectory(path.t, path.xy, direction="known"), rng
-
-
 def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, object]:
     """PSNR of each row, and of the pairs the error, stated probability and seconds."""
     code = load_code(options.code)
-    case, path, rng = drawn_motion(
-        motions, index, seed=options.seed, gyro=options.gyro, photos=options.photos
-    )
+    path, rng = known_motion(motions, index, seed=options.seed, gyro=options.gyro)
     frame = path.frame_size() | 1
     margin = (2 * SIDE_PX - (SIDE_PX + frame - 1)) // 2
-    scene = scene_of(case, rng)[margin:, margin:][: SIDE_PX + frame - 1, : SIDE_PX + frame - 1]
+    window = slice(margin, margin + SIDE_PX + frame - 1)
+    scene = textured_scene(options.photos, side_px=SIDE_PX, rng=rng)[window, window]
     sharp = scene[frame // 2 :, frame // 2 :][:SIDE_PX, :SIDE_PX]
     camera = Camera(photons_full_scale=options.photons, read_noise_e=options.read_noise)
 
@@ -167,7 +152,11 @@ def main() -> None:
     } | {"photos": options.photos, "gyro": options.gyro}
     if code_file(options.code) is not None:
         shared["code"] = load_code(options.code).bits  # another code may lie in the file later
-    finished = finished_cases(options.results)
+    shared["version"] = source_version(RESTORATIONS)
+    with refusals(parser):
+        if options.photos:
+            photo_files(Path(options.photos))
+        finished = finished_cases(options.results)
     rows = []
     for index in range(options.count):
         for motions in options.motions:

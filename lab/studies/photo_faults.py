@@ -8,21 +8,30 @@ camera turns by 0, 0.4 or 1 degree about the photo's middle, exposed up to 2.5 t
 noise of 0.3 to 2 % of full scale, as JPEG of quality 85 or 95, read as sRGB. A row a photo: the
 mean sub-pixel MNC of the kernel with the true ones at nine places, the confidence that
 ``cep calibrate`` states for it, and seconds. One thread; an interrupted run goes on where it
-stopped.
+stopped: a row says its options and the version of the estimator.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import cv2
 import numpy as np
 
-from lab.studies.inputs import add_row, finished_rows, kept_rows, photos, study_parser
-from lab.studies.photo_path import KINDS, drawn_motion
+from lab.bench.blind.methods import version_of
+from lab.studies.inputs import (
+    add_row,
+    case_key,
+    finished_cases,
+    large_scenes,
+    photos,
+    refusals,
+    study_parser,
+)
+from lab.studies.motions import KINDS, motion_in_photo
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
@@ -75,20 +84,14 @@ class FaultyPhoto:
 
 
 def faulty_photos(
-    folders: list[Path], trace: GyroTrace, *, count: int, seed: int
+    scenes: Sequence[tuple[str, FloatArray]], trace: GyroTrace, *, count: int, seed: int
 ) -> Iterator[FaultyPhoto]:
     """Simulate the photos."""
-    scenes = [
-        (name, light)
-        for folder in folders
-        for name, light in photos(folder)
-        if min(light.shape[:2]) >= _LEAST_SIDE_PX
-    ]
     for number in range(count):
         name, light = scenes[(number * 7 + seed) % len(scenes)]
         kind = KINDS[number % len(KINDS)]
         rng = np.random.default_rng([seed, number])
-        motion = drawn_motion(kind, trace, rng, widest_px=45.0)
+        motion = motion_in_photo(kind, trace, rng, widest_px=45.0)
         moments = np.linspace(0, 1, _MOMENTS)
         xy = np.stack([np.interp(moments, motion.t, axis) for axis in motion.xy.T], axis=1)
         xy -= xy.mean(axis=0)
@@ -163,14 +166,30 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=24)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    finished = {row["name"] for row in finished_rows(options.file)}
+    with refusals(parser):
+        finished = finished_cases(options.file)
+        trace = read_gyro(options.gyro)
+        scenes = large_scenes(
+            (scene for folder in options.photos for scene in photos(folder)),
+            least_px=_LEAST_SIDE_PX,
+        )
+    shared = {
+        "photos": list(map(str, options.photos)),
+        "gyro": str(options.gyro),
+        "seed": options.seed,
+        "version": version_of("motdiff"),
+    }
     estimator = MotDiffEstimator()
-    trace = read_gyro(options.gyro)
+    rows = []
     with one_thread():
-        for photo in faulty_photos(options.photos, trace, count=options.count, seed=options.seed):
-            if photo.name not in finished:
-                add_row(options.file, figures(photo, estimator))
-    print("\n".join(table(list(kept_rows(options.file)))))
+        for photo in faulty_photos(scenes, trace, count=options.count, seed=options.seed):
+            case = {"name": photo.name, **shared}
+            row = finished.get(case_key(case))
+            if row is None:
+                row = figures(photo, estimator)
+                add_row(options.file, {"case": case, **row})
+            rows.append(row)
+    print("\n".join(table(rows)))
 
 
 if __name__ == "__main__":

@@ -9,31 +9,42 @@ Photos of 256 x 256 px, linear light, grey, real borders, noise of 0.5 %: walks 
 ms), the same scenes for each. ``--every N`` takes every N-th photo of the folders, as the
 networks' held-out scenes are. Figures: sub-pixel MNC of the kernel and of the path's PSF, mean
 distance of the path at equal arc length and rms distance at equal times in the better direction,
-the stated confidences, and seconds. One thread; an interrupted run goes on where it stopped.
+the stated confidences, and seconds. One thread; an interrupted run goes on where it stopped: a
+row says its options and the version of the estimator.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from lab.studies.inputs import add_row, finished_rows, kept_rows, photos, study_parser
+from lab.bench.blind.methods import version_of
+from lab.studies.inputs import (
+    add_row,
+    case_key,
+    check_version,
+    finished_cases,
+    kept_rows,
+    large_scenes,
+    photos,
+    refusals,
+    study_parser,
+)
+from lab.studies.motions import KINDS, motion_in_photo
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc_subpixel, path_distance_px, timed_distance_px
-from motdiff.motions import boracchi_foi, random_gyro_motion
 from motdiff.photo_values import luminance
 from motdiff.simulate import photograph
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
-KINDS = ("walk", "arc", "shake")
 _PHOTO_PX = 256
 _SCENE_PX = 340  # least side: photo and motion
 _NOISE = 0.005
@@ -50,42 +61,15 @@ class Shot:
     motion: Trajectory
 
 
-def arc(rng: np.random.Generator) -> Trajectory:
-    """Draw a motion of constant curvature and constant acceleration, 18 to 40 px long."""
-    t = np.linspace(0, 1, 401)
-    bend_rad = rng.choice([0.0, 1.0]) * rng.uniform(0.3, 1.6) * rng.choice([-1, 1])
-    heading = rng.uniform(0, 2 * np.pi) + bend_rad * t
-    speed = 1 + rng.choice([0.0, 1.0]) * rng.uniform(-0.5, 0.8) * t
-    velocity = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * speed[:, None]
-    path = np.concatenate([np.zeros((1, 2)), np.cumsum(velocity[1:] + velocity[:-1], axis=0)])
-    length = np.linalg.norm(np.diff(path, axis=0), axis=1).sum()
-    return Trajectory.from_samples(path * (rng.uniform(18, 40) / length), t=t)
-
-
-def drawn_motion(
-    kind: str, trace: GyroTrace, rng: np.random.Generator, *, widest_px: float = 36.0
-) -> Trajectory:
-    """Draw a motion of one of :data:`KINDS`; a shake of the trace is 12 px to ``widest_px``."""
-    if kind == "walk":
-        return boracchi_foi(rng)
-    if kind == "arc":
-        return arc(rng)
-    exposure_s = np.exp(rng.uniform(np.log(0.05), np.log(0.5)))
-    extent_px = rng.uniform(12, widest_px)
-    return random_gyro_motion(trace, rng, exposure_s=exposure_s, extent_px=extent_px)
-
-
 def shots(
-    folders: list[Path], trace: GyroTrace, *, step: int, count: int, seed: int
+    scenes: Sequence[tuple[str, FloatArray]], trace: GyroTrace, *, count: int, seed: int
 ) -> Iterator[Shot]:
     """Simulate ``count`` photos of each kind of motion."""
-    scenes = [scene for folder in folders for scene in photos(folder)][::step]
-    large = [(name, light) for name, light in scenes if min(light.shape[:2]) >= _SCENE_PX]
     for number in range(count):
-        name, light = large[number % len(large)]
+        name, light = scenes[number % len(scenes)]
         for k, kind in enumerate(KINDS):
             rng = np.random.default_rng([seed, number, k])
-            motion = drawn_motion(kind, trace, rng)
+            motion = motion_in_photo(kind, trace, rng)
             side = _PHOTO_PX - 1 + (motion.frame_size() | 1)
             row, column = (rng.integers(n - side + 1) for n in light.shape[:2])
             scene = luminance(light[row : row + side, column : column + side])
@@ -155,24 +139,32 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     if options.what == "table":
-        print("\n".join(table([row for file in options.files for row in kept_rows(file)])))
+        with refusals(parser):
+            rows = [row for file in options.files for row in kept_rows(file)]
+            check_version(rows)
+        print("\n".join(table(rows)))
         return
     if len(options.files) != 1 or options.photos is None or options.gyro is None:
         parser.error("rows: give one FILE, --photos and --gyro")
     (file,) = options.files
-    finished = {row["name"] for row in finished_rows(file)}
+    with refusals(parser):
+        finished = finished_cases(file)
+        trace = read_gyro(options.gyro)
+        scenes = [scene for folder in options.photos for scene in photos(folder)][:: options.every]
+        large = large_scenes(scenes, least_px=_SCENE_PX)
+    shared = {
+        "photos": list(map(str, options.photos)),
+        "gyro": str(options.gyro),
+        "every": options.every,
+        "seed": options.seed,
+        "version": version_of("motdiff"),
+    }
     estimator = MotDiffEstimator()
-    simulated = shots(
-        options.photos,
-        read_gyro(options.gyro),
-        step=options.every,
-        count=options.count,
-        seed=options.seed,
-    )
     with one_thread():
-        for shot in simulated:
-            if shot.name not in finished:
-                add_row(file, figures(shot, estimator))
+        for shot in shots(large, trace, count=options.count, seed=options.seed):
+            case = {"name": shot.name, **shared}
+            if case_key(case) not in finished:
+                add_row(file, {"case": case, **figures(shot, estimator)})
 
 
 if __name__ == "__main__":

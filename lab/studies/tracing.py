@@ -12,9 +12,10 @@ import time
 import numpy as np
 from scipy import spatial
 
+from lab.bench.blind.protocol import synthetic_trace
 from lab.evaluation.map_tracing import trace_map
 from lab.evaluation.metrics import ordered_distance_px
-from lab.studies.inputs import smooth_trace, study_parser
+from lab.studies.inputs import study_parser
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc_subpixel
@@ -157,7 +158,7 @@ def main() -> None:
     trace = (
         read_gyro(options.gyro)
         if options.gyro
-        else smooth_trace(np.random.default_rng(options.seed), duration_s=120.0, rate_hz=200.0)
+        else synthetic_trace(options.seed, duration_s=120.0, rate_hz=200.0)
     )
     dwell_table(options.motions, trace, options.seed)
 
