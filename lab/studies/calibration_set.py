@@ -49,7 +49,7 @@ def contrast_through(walks: Sequence[FloatArray], codes: Sequence[ArrayLike]) ->
     return Contrast.of(contrast)
 
 
-if __name__ == "__main__":
+def main() -> None:
     study_parser(__doc__).parse_args()
     walks = ordered_walks(WALKS, rng=np.random.default_rng(1))
     print("| codes | walks told | chi-square, median | worst tenth |\n|---|---:|---:|---:|")
@@ -61,3 +61,7 @@ if __name__ == "__main__":
         rows = [(c.walks_told / c.walks, c.median, c.worst_tenth) for c in measured]
         share, median, tenth = np.mean(rows, axis=0)
         print(f"| {name} | {share:.2f} | {median:,.0f} | {tenth:,.0f} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

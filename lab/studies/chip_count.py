@@ -20,7 +20,7 @@ from cep.optics.path_limits import resolved_chips
 from cep.photographs.trial import PhotoTrial
 from cep.search.chip_count import STANDARD_EXPOSURE_S
 from lab.photo_gains.photographs import load_scenes
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
 
@@ -54,7 +54,8 @@ def main() -> None:
     parser.add_argument("--photons", type=float, help="at full scale; drawn when omitted")
     parser.add_argument("--read-noise", type=float, default=10.0, help="electrons")
     options = parser.parse_args()
-    scenes = load_scenes(options.photos, side_px=SIDE_PX, count=options.count)
+    with refusals(parser):
+        scenes = load_scenes(options.photos, side_px=SIDE_PX, count=options.count)
     print("| motion | error, px | photo-electrons | " + " | ".join(map(str, COUNTS)) + " |")
     print("|---|---:|---:|" + "---:|" * len(COUNTS))
     losses_db: list[list[float]] = []

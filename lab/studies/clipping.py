@@ -22,7 +22,7 @@ from lab.studies.inputs import study_parser
 from motdiff.estimators.pmp.estimator import PmpEstimator
 from motdiff.metrics import mnc_subpixel, psnr
 from motdiff.motions import boracchi_foi
-from motdiff.photo_values import clipped_mask, luminance
+from motdiff.photo_values import clipped_mask, luminance, to_linear
 from motdiff.psf_frame import PSF_PX
 from motdiff.simulate import blur_valid, visible
 
@@ -60,7 +60,7 @@ def main() -> None:
         rng = np.random.default_rng([7, number])
         path = boracchi_foi(rng, max_length_px=float(rng.uniform(20, 40)))
         psf = path.psf(PSF_PX)
-        scene = cropped((getattr(data, name)() / 255.0) ** 2.2)
+        scene = cropped(to_linear(getattr(data, name)() / 255.0, gamma=2.2))
         kinds = {"page": scene / np.quantile(scene, 0.5)}
         if name != "page":
             dark = 0.7 * scene / scene.max()

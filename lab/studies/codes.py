@@ -1,12 +1,9 @@
-"""Shutter codes, measured: the published ones, the annealer's, and what an unknown direction costs
-on curved paths.
+"""The published shutter codes, measured anew, and what certificates prove and cost.
 
-    python -m lab.studies.codes [--seconds 40] [--curved-seconds 10] [--motions 8]
-                               [--only league|certificates|straight|curved] [--table league.tex]
+    python -m lab.studies.codes [--only league|certificates] [--table league.tex]
 
-Noise gains are 10 log10 mean 1/|H|^2. On straight motion H is the code's polynomial in chips over
-the unit circle; on curved paths it is light-true over the band [-0.5, 0.5]^2, and "DC" adds 20
-log10 duty.
+Noise gains are 10 log10 mean 1/|P|^2 of the code's polynomial P, in chips, over the unit circle;
+"/ DC" adds 20 log10 of the open chips.
 """
 
 from __future__ import annotations
@@ -16,28 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from cep.codes.published import CLAIMS, for_chips, names, published
+from cep.codes.published import CLAIMS, names, published
 from cep.files.tables import Sheet, check_table_name, markdown_table, write_sheets
 from cep.optics.code import ShutterCode
 from cep.proofs.certify.certificate import certify
 from cep.proofs.certify.minimum import chip_minimum
-from cep.proofs.measure import measure
 from cep.proofs.verify import verify
 from lab.bench.published_codes import chip_noise_db
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 from motdiff.motions import boracchi_foi
 from motdiff.trajectory import Trajectory
-
-
-def chip_row(name: str, code: ShutterCode, seconds: float) -> None:
-    minimum = chip_minimum(code)
-    noise = chip_noise_db(code)
-    print(
-        f"{name:22s} {code.chips:4d} {code.open_chips:4d} {minimum.upper:8.4f}"
-        f" {minimum.lower:8.4f}"
-        f" {minimum.upper / code.open_chips:7.4f} {noise:8.2f}"
-        f" {noise + 20 * np.log10(code.open_chips):8.2f}  {seconds:.1f} s"
-    )
 
 
 def league(file: Path | None) -> None:
@@ -153,85 +138,19 @@ def random_code(rng: np.random.Generator, chips: int) -> ShutterCode:
     return ShutterCode("1" + "".join(rng.choice(["0", "1"], chips - 1)))
 
 
-def straight(seconds: float) -> None:
-    from cep.search.annealing.anneal import anneal
-    from cep.search.bounds import bound
-    from cep.search.problem import SearchProblem
-
-    print(f"\nAnnealing at n = 52, k = 26 on the unit circle, {seconds:g} s each, one core")
-    for objective in ("min-mtf", "noise"):
-        problem = SearchProblem.along(chips=52, open_range=(26, 26), objective=objective)
-        start = [entry.code for entry in for_chips(52)]
-        result = anneal(
-            problem, rng=np.random.default_rng(0), steps=None, time_s=seconds, start=start
-        )
-        chip_row(f"anneal {objective}", result.code, result.seconds)
-        print(
-            f"  {result.code.bits}  {result.steps / result.seconds:,.0f} moves/s; no code of 26"
-            " ones"
-            f" exceeds min |P| {bound(problem).min_chip:.2f}"
-        )
-
-
-def curved(seconds: float, motions: int) -> None:
-    from cep.search.annealing.anneal import anneal
-    from cep.search.problem import SearchProblem
-
-    print(
-        f"\nCurved paths (Boracchi-Foi, 60 px), 52 chips, {seconds:g} s a search; noise gain dB,"
-        " light-true (DC)"
-    )
-    print(
-        f"{'path':>6} {'no code':>15} {'one-way, along':>15} {'one-way, back':>15}"
-        f" {'both ways':>15} {'true min':>10}"
-    )
-    table = []
-    for seed in range(motions):
-        path = boracchi_foi(np.random.default_rng(seed), max_length_px=60.0)
-        gains = [measure(path, ShutterCode("1" * 52), budget=0)]
-        lowest = []
-        for direction in ("forward", "unknown"):
-            problem = SearchProblem.along(
-                path, chips=52, open_range=(26, 26), objective="noise", direction=direction
-            )
-            code = anneal(
-                problem, rng=np.random.default_rng(seed), steps=None, time_s=seconds
-            ).code
-            metrics = [measure(ordered, code, budget=0) for ordered in (path, path.reversed())]
-            lowest.append(max(ordered.min_mtf for ordered in metrics))
-            gains += (
-                metrics
-                if direction == "forward"
-                else [max(metrics, key=lambda ordered: ordered.noise_gain_db)]
-            )
-        row = [(gain.noise_gain_db, gain.dnf_db) for gain in gains]
-        table.append(row)
-        print(
-            f"{seed:6d}", *(f"{gain:7.1f} ({dc:5.1f})" for gain, dc in row), f"{max(lowest):9.1e}"
-        )
-    print(f"{'mean':>6}", *(f"{gain:7.1f} ({dc:5.1f})" for gain, dc in np.mean(table, axis=0)))
-    print(f"{'std':>6}", *(f"{gain:7.1f} ({dc:5.1f})" for gain, dc in np.std(table, axis=0)))
-
-
 def main() -> None:
     parser = study_parser(__doc__)
-    parser.add_argument("--seconds", type=float, default=40.0)
-    parser.add_argument("--curved-seconds", type=float, default=10.0)
-    parser.add_argument("--motions", type=int, default=8)
-    parser.add_argument("--only", choices=["league", "certificates", "straight", "curved"])
+    parser.add_argument("--only", choices=["league", "certificates"])
     parser.add_argument("--table", type=Path, help="also write the league: .tex, .csv or .md")
     chosen = parser.parse_args()
     if chosen.table is not None:
-        check_table_name(chosen.table)
+        with refusals(parser):
+            check_table_name(chosen.table)
     started = time.monotonic()
     if chosen.only in (None, "league"):
         league(chosen.table)
     if chosen.only in (None, "certificates"):
         certificates()
-    if chosen.only in (None, "straight"):
-        straight(chosen.seconds)
-    if chosen.only in (None, "curved"):
-        curved(chosen.curved_seconds, chosen.motions)
     print(f"\n{time.monotonic() - started:.0f} s")
 
 

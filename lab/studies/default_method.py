@@ -25,7 +25,7 @@ from cep.restoration.plug_and_play import pnp
 from cep.restoration.tv import tv
 from cep.restoration.wiener import wiener
 from lab.photo_gains.photographs import load_scenes
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 from motdiff.metrics import psnr_up_to_shift
 from motdiff.motions import boracchi_foi, with_smooth_error
 from motdiff.threads import side_by_side
@@ -52,7 +52,8 @@ def main() -> None:
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=6)
     arguments = parser.parse_args()
-    scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
+    with refusals(parser):
+        scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
     paths = {
         "straight 25 px": Trajectory.straight(25.0),
         "walk 40 px": boracchi_foi(np.random.default_rng(3), max_length_px=40.0),

@@ -14,6 +14,7 @@ import time
 import numpy as np
 from skimage import data
 
+from cep.codes.published import published
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.optics.code import ShutterCode
@@ -21,10 +22,11 @@ from cep.optics.exposure import coded_psf
 from cep.restoration.direction import compare_psfs
 from lab.studies.inputs import study_parser
 from motdiff.motions import boracchi_foi, quadratic, random_straight
+from motdiff.photo_values import to_linear
 from motdiff.psf_frame import PSF_PX
 from motdiff.trajectory import Trajectory
 
-RASKAR_52 = ShutterCode("1010000111000001010000110011110111010111001001100111")
+RASKAR_52 = published("raskar-52").code
 SCENES = (
     "camera",
     "astronaut",
@@ -48,7 +50,7 @@ NOISE = ((0.002, 0.005), (0.005, 0.01), (0.01, 0.02))
 def scene(name: str) -> np.ndarray:
     image = np.asarray(getattr(data, name)(), dtype=float) / 255
     grey = image if image.ndim == 2 else image[..., :3] @ np.array([0.2126, 0.7152, 0.0722])
-    return (grey**2.2)[:363, :363]
+    return to_linear(grey, gamma=2.2)[:363, :363]
 
 
 def random_code(rng: np.random.Generator) -> ShutterCode:

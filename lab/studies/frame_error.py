@@ -28,7 +28,7 @@ from cep.search.exposures import ExposureFinder
 from cep.search.frame_error import FrameError
 from cep.search.problem import SearchProblem
 from lab.photo_gains.photographs import load_scenes
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 from motdiff.motions import quadratic
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
@@ -146,7 +146,8 @@ def main() -> None:
     parser.add_argument("--bend", type=float, default=0.0, help="of the drawn motions")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
-    scenes = load_scenes(options.photos, side_px=SIDE_PX, count=options.count)
+    with refusals(parser):
+        scenes = load_scenes(options.photos, side_px=SIDE_PX, count=options.count)
     if options.codes:
         compare_equal_codes(scenes, options.codes)
     compare_optimize(scenes, options.motions, bend=options.bend, seed=options.seed)

@@ -13,14 +13,16 @@ import random
 import statistics
 import time
 
+from cep.codes.published import published
 from hw.cxp.protocol import State
 from hw.drivers.cxp import Controller
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno, EmulationError, build_board
 from hw.program import Program
 from lab.studies.inputs import study_parser
 
-RASKAR = "1010000111000001010000110011110111010111001001100111"
+RASKAR = published("raskar-52").code.bits
 CYCLE_NS = 1e9 / CLOCK_HZ
+_PATIENCE_S = 30.0  # for a chip of 50 us: the emulation is slow
 
 
 def load_times_s(loads: int) -> list[float]:
@@ -43,8 +45,10 @@ def trigger_latencies(triggers: int) -> list[int]:
         for _ in range(triggers):
             controller.arm(lease_ms=65_535)
             uno.trigger()
+            deadline_s = time.monotonic() + _PATIENCE_S
             while controller.status().state is not State.DONE:
-                pass
+                if time.monotonic() > deadline_s:
+                    raise SystemExit(f"error: a trigger was not obeyed within {_PATIENCE_S:g} s")
         openings = [cycle for cycle, level in uno.edges() if level]
         trigger_cycles = [cycle for cycle, level in uno.edges("trigger") if level]
     return sorted(after - before for before, after in zip(trigger_cycles, openings, strict=True))

@@ -18,6 +18,7 @@ import numpy as np
 
 from cep.photographs.scene_photo import band_levels, fitted_levels, fitted_scene, windows
 from cep.photographs.scenes import photographs
+from lab.studies.inputs import study_parser
 from motdiff.photo_values import to_linear
 from motdiff.types import FloatArray
 
@@ -30,6 +31,7 @@ FLAT_PX = 64
 
 
 def main() -> None:
+    study_parser(__doc__).parse_args()
     print("| scene | pictures | g | h | level, dB | spread, dB | mean light | off the fit, dB |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|")
     for name, pictures in {"text": pages(), "texture": textures(), "flat-part": flats()}.items():

@@ -472,15 +472,15 @@ def main() -> None:
     options = parsed_options()
     cases = cases_of(options)
     version = source_version(ESTIMATORS)
-    named_cases = {case: {**asdict(case), "version": version} for case in cases}
-    keys = {case: case_key(named) for case, named in named_cases.items()}
+    labels = {case: {**asdict(case), "version": version} for case in cases}
+    keys = {case: case_key(label) for case, label in labels.items()}
     rows = [(case, options.earlier[key]) for case, key in keys.items() if key in options.earlier]
     missing = [case for case, key in keys.items() if key not in options.earlier]
     print(f"{len(cases)} motions x sets, {len(rows)} of them known", flush=True)
     try:
         for case, row in measured(missing, options.workers):
             if options.results is not None:
-                add_row(options.results, {"case": named_cases[case], **row})
+                add_row(options.results, {"case": labels[case], **row})
             rows.append((case, row))
             print(case_line(case, row), flush=True)
     except KeyboardInterrupt:

@@ -23,9 +23,9 @@ from cep.photographs.scene_photo import ScenePhoto
 from cep.photographs.trial import PhotoTrial
 from cep.search.problem import SearchProblem
 from cep.search.verdict import Verdict
-from lab.photo_gains.__main__ import motions
+from lab.photo_gains.gains import motions
 from lab.photo_gains.photographs import load_scenes
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 
 LIGHT = ((10.0, 3_000.0), (50.0, 10_000.0))
 CHIPS = 32
@@ -37,7 +37,8 @@ def main() -> None:
     parser.add_argument("photos", type=Path)
     parser.add_argument("--count", type=int, default=18)
     arguments = parser.parse_args()
-    scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
+    with refusals(parser):
+        scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
     path = motions()["arc"]
     print("| photo | e- / photo-electrons | by the bundled | by its half | own code's gain |")
     print("|---:|---|---:|---:|---:|")

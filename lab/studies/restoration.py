@@ -25,7 +25,7 @@ from lab.bench.coded.protocol import coded_protocol, drawn_motions
 from lab.bench.datasets import crop, photo_folder, pick
 from lab.bench.statistics import mean_interval
 from lab.evaluation.metrics import psnr_ssim_up_to_shift
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 from motdiff.metrics import mnc_subpixel
 from motdiff.photo_values import luminance
 from motdiff.psf_frame import PSF_PX
@@ -78,9 +78,9 @@ def main() -> None:
     motions = drawn_motions(PROTOCOL)
     scores: dict[tuple[bool, float, str], list[tuple[float, float, float]]] = defaultdict(list)
     whose: list[int] = []  # photo of each figure
-    for number, path in enumerate(
-        pick(photo_folder(options.photos), options.count, least_px=side)
-    ):
+    with refusals(parser):
+        photos = pick(photo_folder(options.photos), options.count, least_px=side)
+    for number, path in enumerate(photos):
         scene = luminance(crop(path, side, np.random.default_rng([0, 5, number]), gamma="srgb"))
         truth = visible(scene, PSF_PX)
         for turn in range(options.turns):

@@ -7,7 +7,6 @@ Prints seconds for grey and colour; 1 and 12 megapixels when none are given. On 
 
 from __future__ import annotations
 
-import sys
 import time
 
 import numpy as np
@@ -17,6 +16,7 @@ from cep.codes.sources import load_code
 from cep.optics.camera import Camera
 from cep.optics.capture import capture
 from cep.restoration.restore import restore
+from lab.studies.inputs import study_parser
 from motdiff.photo_values import to_linear
 from motdiff.trajectory import Trajectory
 
@@ -25,9 +25,12 @@ CAMERA = Camera(photons_full_scale=10_000, read_noise_e=2)
 
 
 def main() -> None:
+    parser = study_parser(__doc__)
+    parser.add_argument("megapixels", type=float, nargs="*", default=[1.0, 12.0])
+    options = parser.parse_args()
     code = load_code("raskar-52")
     tile = to_linear(data.astronaut() / 255)
-    for megapixels in map(float, sys.argv[1:] or ("1", "12")):
+    for megapixels in options.megapixels:
         side = round(np.sqrt(megapixels * 1e6)) + PATH.frame_size() - 1
         repeats = -(-side // len(tile))
         scene = np.tile(tile, (repeats, repeats, 1))[:side, :side]

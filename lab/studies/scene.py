@@ -17,7 +17,7 @@ import numpy as np
 from cep.photographs.scene_photo import BANDS, band_levels
 from cep.photographs.scenes import photographs
 from lab.photo_gains.photographs import load_scenes
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 
 SIDE_PX = 300  # of a folder's
 KNEE_CY_PX = 0.25
@@ -29,7 +29,8 @@ def main() -> None:
     arguments = parser.parse_args()
     scenes = photographs()
     if arguments.photos is not None:
-        scenes = load_scenes(arguments.photos, side_px=SIDE_PX)
+        with refusals(parser):
+            scenes = load_scenes(arguments.photos, side_px=SIDE_PX)
     f = np.sqrt(BANDS[1:] * BANDS[:-1])
     levels = np.array([band_levels(scene) for scene in scenes])
     for centre, mean, spread in zip(f, levels.mean(axis=0), levels.std(axis=0), strict=True):

@@ -25,9 +25,9 @@ from cep.search.annealing.anneal import anneal
 from cep.search.baselines import best_snapshot, best_strobe
 from cep.search.cost import CodeCost
 from cep.search.problem import Scenario, SearchProblem
-from lab.photo_gains.__main__ import CHIPS, SIDE_PX, motions, trial_of
+from lab.photo_gains.gains import CHIPS, SIDE_PX, motions, trial_of
 from lab.photo_gains.photographs import load_scenes
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 from motdiff.trajectory import Trajectory
 
 LIGHT = ((10.0, 3_000.0), (50.0, 10_000.0), (200.0, 100_000.0))
@@ -44,7 +44,8 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=8, help="photos at most")
     parser.add_argument("--seeds", type=int, default=4, help="searches of each code")
     arguments = parser.parse_args()
-    scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
+    with refusals(parser):
+        scenes = load_scenes(arguments.photos, side_px=SIDE_PX, count=arguments.count)
     paths = {"straight 25 px": Trajectory.straight(25.0)} | motions()
     del paths["shake"]
     print(f"{len(scenes)} photographs, levels {NODES_DB.round(1).tolist()} dB")

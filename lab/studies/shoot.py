@@ -9,7 +9,6 @@ exposure; and how many triggers of a belt are obeyed; and a photo summed from a 
 
 from __future__ import annotations
 
-import sys
 import tempfile
 import threading
 import time
@@ -30,6 +29,7 @@ from cep.shutter.rig import Rig, Shot
 from cep.shutter.shoot import open_rig, shoot
 from cep.shutter.twin import TwinCamera, code_values, openings_s
 from hw.emulation.uno import EmulatedUno
+from lab.studies.inputs import study_parser
 from motdiff.crops import centre_crop
 from motdiff.metrics import psnr
 from motdiff.photo_values import to_display, to_linear
@@ -149,15 +149,21 @@ def burst(fps: float = 240.0) -> None:
     print(f"| burst | {psnrs[0]:.2f} dB, direct simulation {psnrs[1]:.2f} dB |", flush=True)
 
 
-if __name__ == "__main__":
-    wanted_shots = int(sys.argv[1]) if len(sys.argv) > 1 else 200
+def main() -> None:
+    parser = study_parser(__doc__)
+    parser.add_argument("shots", type=int, nargs="?", default=200)
+    options = parser.parse_args()
     print(
         "| triggered by | count | plays | own bits | PSNR, dB | simulated, dB |"
         " ms beside the exposure, median | worst |"
     )
     print("|---|---|---|---|---|---|---|---|")
     for who in (Release.SHUTTER, Release.CAMERA):
-        run(who, wanted_shots)
+        run(who, options.shots)
     for frequency_hz in (10, 30, 60, 80):
         belt(frequency_hz)
     burst()
+
+
+if __name__ == "__main__":
+    main()

@@ -29,7 +29,7 @@ import numpy as np
 
 import cep.shutter.shoot as shooting
 from cep.commands.console import INTERRUPTED
-from cep.commands.main import main
+from cep.commands.main import main as cep_main
 from cep.files.images import write_image
 from cep.files.shot_files import read_shot, record_beside
 from cep.shutter.cameras import CAMERAS
@@ -38,12 +38,14 @@ from hw.cameras.camera import CameraError, CameraSettings, Frame, FrameLostError
 from hw.cxp.protocol import Stored
 from hw.drivers.cxp import Controller
 from hw.emulation.uno import CLOCK_HZ, EmulatedUno
+from lab.studies.inputs import study_parser
 
 CODE = "1011001110100110" * 4
 CHIP_NS = 400_000
 _CODE_S = len(CODE) * CHIP_NS * 1e-9
 _LATEST_S = 1.0  # after which the shutter has to be closed and disarmed
 _SHOTS = 3
+_PATIENCE_S = 60.0  # until a host plays
 
 
 class FaultyTwin(TwinCamera):
@@ -166,7 +168,7 @@ def run_twin(fault: str, folder: Path, rng: np.random.Generator) -> Outcome:
     ]
     kinds = {**CAMERAS, "faulty": f"{FaultyTwin.__module__}:FaultyTwin"}
     with patch.object(shooting, "CAMERAS", kinds), _put(fault, photo, shot), _stderr() as stderr:
-        code = main([str(argument) for argument in arguments])
+        code = cep_main([str(argument) for argument in arguments])
     ended_s = time.monotonic()
     board = FaultyTwin.boards[0] if FaultyTwin.boards else None
     open_s = _open_s(board, ended_s) if board is not None else 0.0
@@ -197,10 +199,15 @@ def run_killed(_fault: str, folder: Path, rng: np.random.Generator) -> Outcome:
             [*program, "--port", uno.port, "--code", CODE, "-o", str(folder / "shot")],
             stderr=subprocess.DEVNULL,
         )
-        while not uno.edges() and host.poll() is None:
+        deadline_s = time.monotonic() + _PATIENCE_S
+        while not uno.edges() and host.poll() is None and time.monotonic() < deadline_s:
             if not plays:
                 uno.trigger()  # obeyed as soon as it is armed
             time.sleep(0.02)
+        if not uno.edges():
+            host.kill()
+            line = f"the host never played; its exit code: {host.wait()}"
+            return Outcome(0, (line,), 0, 0, 0.0, released=True)
         time.sleep(float(rng.uniform(0.1, 0.5)))
         killed = host.poll() is None
         host.kill()
@@ -323,7 +330,14 @@ def table(times: int) -> None:
     print(f"\n{total} of {times * len(FAULTS)} passed")
 
 
-if __name__ == "__main__":
+def main() -> None:
+    parser = study_parser(__doc__)
+    parser.add_argument("times", type=int, nargs="?", default=20, help="of each fault")
+    options = parser.parse_args()
     # a shell starts what runs in the background deaf to Ctrl-C
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    table(int(sys.argv[1]) if len(sys.argv) > 1 else 20)
+    table(options.times)
+
+
+if __name__ == "__main__":
+    main()

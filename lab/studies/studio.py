@@ -3,31 +3,37 @@ requests that it must refuse.
 
 Times are from the hand's event until strip, MTFs, figures and the simulated photo of this state
 are on the page. The memory is the proportional share (PSS) of the server and all its processes:
-pages that they share count once.
+pages that they share count once. It needs Chromium and Playwright, as `.ci/tools` and the extra
+`browser` install them.
 
-Run: python -m lab.studies.studio [--changes 60] [--requests 300]
+    python -m lab.studies.studio [--changes 60] [--requests 300]
 """
 
 from __future__ import annotations
 
-import argparse
 import http.client
 import json
 import os
 import re
+import runpy
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests" / "helpers"))
+from lab.studies.inputs import study_parser
+
+HOSTILE_REQUESTS = Path(__file__).parents[2] / "tests" / "helpers" / "hostile_requests.py"
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 STATES = {
     "straight 40 px, 52 chips": "motion=straight:40:0",
     "straight 40 px at 30 degrees, 52 chips": "motion=straight:40:30",
@@ -43,7 +49,10 @@ FLIPS = """async (count) => {
   for (let i = 0; i < count; i++) {
     const begun = performance.now();
     chips[(7 * i) % chips.length].click();
-    while (!settled()) await frame();
+    while (!settled()) {
+      if (performance.now() - begun > 60000) throw new Error("not settled within 60 s");
+      await frame();
+    }
     await frame();
     times.push(performance.now() - begun);
     await new Promise((done) => setTimeout(done, 60));
@@ -52,12 +61,16 @@ FLIPS = """async (count) => {
 }"""
 DRAGS = """async (count) => {
   const body = document.body.dataset, range = document.getElementById("length-range"), times = [];
+  const settled = () => body.picture === body.asked && body.photo === body.asked;
   const frame = () => new Promise((done) => requestAnimationFrame(done));
   for (let i = 0; i < count; i++) {
     const begun = performance.now();
     range.value = 20 + (i % 40);
     range.dispatchEvent(new Event("input"));
-    while (!(body.picture === body.asked && body.photo === body.asked)) await frame();
+    while (!settled()) {
+      if (performance.now() - begun > 60000) throw new Error("not settled within 60 s");
+      await frame();
+    }
     await frame();
     times.push(performance.now() - begun);
     await new Promise((done) => setTimeout(done, 60));
@@ -77,10 +90,13 @@ SEARCH = """async () => {
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser()
+    parser = study_parser(__doc__)
     parser.add_argument("--changes", type=int, default=60)
     parser.add_argument("--requests", type=int, default=300)
     options = parser.parse_args()
+    chromium = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if chromium is None:
+        parser.error(f"no browser is on the PATH: {', '.join(BROWSERS)}")
     command = [
         sys.executable,
         "-c",
@@ -92,8 +108,12 @@ def main() -> None:
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert server.stdout is not None
     output = ""
-    while not output.rstrip().endswith("}"):
-        output += server.stdout.readline()
+    for line in server.stdout:
+        output += line
+        if output.rstrip().endswith("}"):
+            break
+    else:
+        raise SystemExit(f"error: the studio ended, with exit code {server.wait()}")
     home = urlsplit(json.loads(output)["address"])
     cookie = send(home.netloc, "GET", f"/?{home.query}", {}, [])[1]["set-cookie"].split(";")[
         0
@@ -101,7 +121,7 @@ def main() -> None:
     peak = Peak(server.pid)
     print(f"{os.cpu_count()} cores; load before {os.getloadavg()[0]:.1f}: the machine is shared")
     try:
-        in_browser(home.netloc, cookie, options.changes, peak)
+        in_browser(chromium, home.netloc, cookie, options.changes, peak)
         refused(home.netloc, cookie, options.requests)
     finally:
         peak.stop()
@@ -109,12 +129,12 @@ def main() -> None:
         print(f"exit code {server.wait(20)}; load after {os.getloadavg()[0]:.1f}")
 
 
-def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
+def in_browser(chromium: str, netloc: str, cookie: str, changes: int, peak: Peak) -> None:
     from playwright.sync_api import sync_playwright
 
     address = f"http://{netloc}/"
     with sync_playwright() as play:
-        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
+        browser = play.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
         context = browser.new_context(viewport={"width": 1440, "height": 1000})
         name, _, value = cookie.partition("=")
         context.add_cookies([{"name": name, "value": value, "url": address}])
@@ -160,8 +180,7 @@ def in_browser(netloc: str, cookie: str, changes: int, peak: Peak) -> None:
         )
         if running:
             page.locator("#stop").click()
-        while page.locator("#search").is_hidden():
-            time.sleep(0.2)
+        until(page.locator("#search").is_visible, "the search did not stop")
         print(f"memory at most {peak.most:.0f} MB, pictures and searches")
         large_photo(page, peak)
         browser.close()
@@ -184,10 +203,13 @@ def large_photo(page: Any, peak: Peak) -> None:
         peak.reset()
         started = time.perf_counter()
         page.locator("#photo-file").set_input_files(file)
-        while "motion=path:" not in page.url:
-            time.sleep(0.1)
+
+        def has_motion() -> bool:
             failed = page.locator(".error[data-for=photo]").inner_text()
             assert not failed, failed
+            return "motion=path:" in page.url
+
+        until(has_motion, "the photo's motion did not come", pause_s=0.1)
         megapixels = photo.shape[0] * photo.shape[1] / 1e6
         seconds = time.perf_counter() - started
         print(
@@ -198,8 +220,7 @@ def large_photo(page: Any, peak: Peak) -> None:
 
 def refused(netloc: str, cookie: str, count: int) -> None:
     """Send hostile requests; each must be answered with 4xx, and nothing may be left behind."""
-    from hostile_requests import hostile  # type: ignore[import-not-found]  # of the tests
-
+    hostile = runpy.run_path(str(HOSTILE_REQUESTS))["hostile"]
     before = left()
     rng = np.random.default_rng(1)
     codes = {}
@@ -266,15 +287,24 @@ def left() -> set[str]:
     return {str(file) for folder in folders for file in folder.rglob("*")}
 
 
+def until(
+    condition: Callable[[], bool], failure: str, *, limit_s: float = 120.0, pause_s: float = 0.2
+) -> None:
+    """Wait for a condition; end the study where it does not come true."""
+    deadline_s = time.monotonic() + limit_s
+    while not condition():
+        if time.monotonic() > deadline_s:
+            raise SystemExit(f"error: {failure} within {limit_s:g} s")
+        time.sleep(pause_s)
+
+
 def wait(page: Any) -> None:
-    deadline = time.monotonic() + 120
     names = (
         "['picture', 'photo', 'verdict'].every((one) => document.body.dataset[one] ==="
         " document.body.dataset.asked)"
     )
-    while not page.evaluate(f"document.body.dataset.asked !== undefined && {names}"):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
+    settled = f"document.body.dataset.asked !== undefined && {names}"
+    until(lambda: page.evaluate(settled), "the page did not settle", pause_s=0.01)
 
 
 def row(name: str, page: Any, script: str, changes: int, server: int) -> None:

@@ -8,7 +8,7 @@ from cep.files.images import write_image
 from cep.optics.camera import Camera
 from cep.photographs.scenes import photographs
 from cep.search.problem import SearchProblem
-from lab.photo_gains.__main__ import Gain, measured_gain, trial_of
+from lab.photo_gains.gains import Gain, measured_gain, trial_of
 from lab.photo_gains.photographs import load_scenes
 from motdiff.trajectory import Trajectory
 

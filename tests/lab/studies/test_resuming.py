@@ -1,0 +1,119 @@
+"""Studies of many photos go on from their files, and take no rows of other options for theirs."""
+
+import cv2
+import numpy as np
+import pytest
+
+from lab.studies import motdiff_gain, photo_faults, photo_path
+from lab.studies.goldens.inputs import recorded_shake
+from lab.studies.inputs import add_row, case_key, finished_rows
+
+FIGURES = {
+    photo_path: lambda shot, _estimator: {"name": shot.name, "kind": shot.kind},
+    photo_faults: lambda photo, _estimator: {
+        "name": photo.name,
+        "mnc": 0.5,
+        "confidence": 0.5,
+        "wall_s": 1.0,
+    },
+}
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    """Run a study on one photo, without its estimator; returns the number of new rows."""
+    levels = np.random.default_rng(0).integers(0, 256, (420, 420), dtype=np.uint8)
+    for folder in ("photos", "others"):
+        (tmp_path / folder).mkdir()
+        cv2.imwrite(str(tmp_path / folder / "a.png"), levels)
+    (tmp_path / "gyro.csv").write_text(recorded_shake())
+    file = tmp_path / "rows.jsonl"
+
+    def run_study(study, *options, version="a", photos="photos"):
+        monkeypatch.setattr(photo_faults, "_MOMENTS", 5)  # for speed
+        monkeypatch.setattr(study, "MotDiffEstimator", object)
+        monkeypatch.setattr(study, "version_of", lambda _method: version)
+        monkeypatch.setattr(study, "figures", FIGURES[study])
+        words = ["rows"] if study is photo_path else []
+        words += [str(file), "--photos", str(tmp_path / photos), "--count", "1", *options]
+        monkeypatch.setattr("sys.argv", ["study", *words, "--gyro", str(tmp_path / "gyro.csv")])
+        before = len(finished_rows(file))
+        study.main()
+        return len(finished_rows(file)) - before
+
+    return run_study
+
+
+@pytest.mark.parametrize("study", FIGURES, ids=lambda study: study.__name__)
+def test_only_rows_of_the_same_options_are_finished(run, study, capsys):
+    count = run(study)
+    assert count >= 1
+    assert run(study) == 0
+    assert run(study, "--seed", "1") == count
+    assert run(study, version="b") == count
+    assert run(study, photos="others") == count
+    assert run(study, "--seed", "1") == 0
+    if study is photo_faults:  # it prints the table of its own rows
+        assert "| all | 1 |" in capsys.readouterr().out.splitlines()[-1]
+
+
+@pytest.fixture
+def missing_rows(monkeypatch):
+    """Rows that a bench with two methods and no networks would measure."""
+
+    def row_of(photo, methods, _searches):
+        return {"name": photo.name, **{name: {"mnc": 0.5} for name in methods}}
+
+    def drawn(_network, _correction, _photo, count, _number):
+        return {motdiff_gain._LAST_DRAWS: {"mnc": [0.5] * count}}
+
+    monkeypatch.setattr(motdiff_gain, "estimators", lambda _: {"pmp": None, "motdiff": None})
+    monkeypatch.setattr(motdiff_gain, "row_of", row_of)
+    monkeypatch.setattr(motdiff_gain, "drawn", drawn)
+    for name in ("load_network", "load_correction"):
+        monkeypatch.setattr(motdiff_gain, name, lambda: None)
+    empty = np.zeros((1, 1))
+    photo = motdiff_gain.Photo("0000", "gyro", "0000", empty, empty, conditions=empty)
+
+    def missing(lines, draws=8, **options):
+        rows = {case_key(row["case"]): row for row in motdiff_gain.merged_rows(lines)}
+        return list(motdiff_gain.missing_rows([photo], rows, draws, options))
+
+    return missing
+
+
+def test_photos_of_two_runs_are_not_merged(missing_rows):
+    lines = missing_rows([], prepared="a.toml")
+    assert len(lines) == 1
+    assert missing_rows(lines, prepared="a.toml") == []
+    lines += missing_rows(lines, prepared="b.toml")
+    assert len(motdiff_gain.merged_rows(lines)) == 2
+
+
+def test_another_number_of_draws_is_drawn_anew_and_nothing_else(missing_rows):
+    lines = missing_rows([], draws=8)
+    (again,) = missing_rows(lines, draws=4)
+    assert {"pmp", "motdiff"}.isdisjoint(again)
+    (row,) = motdiff_gain.merged_rows([*lines, again])
+    assert motdiff_gain.draw_count(row) == 4
+    assert "pmp" in row
+
+
+def test_a_method_that_a_row_lacks_is_added_to_it(missing_rows):
+    (row,) = missing_rows([])
+    (added,) = missing_rows([{key: row[key] for key in row if key != "pmp"}])
+    assert "pmp" in added
+    assert "motdiff" not in added
+
+
+def test_a_table_of_several_versions_is_refused(tmp_path, monkeypatch, capsys):
+    for version in "ab":
+        row = {"case": {"name": "0", "version": version}, "name": "0"}
+        add_row(tmp_path / f"{version}.jsonl", row)
+    files = [str(tmp_path / f"{version}.jsonl") for version in "ab"]
+    for study in (photo_path, motdiff_gain):
+        monkeypatch.setattr("sys.argv", ["study", "table", *files])
+        with pytest.raises(SystemExit) as exit_status:
+            study.main()
+        assert exit_status.value.code == 2
+        assert "2 versions" in capsys.readouterr().err
