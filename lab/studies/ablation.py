@@ -69,15 +69,17 @@ def physics(prepared: str, validation: str) -> TrainingConfig:
 def budgeted(base: TrainingConfig, *, samples: int, seed: int) -> TrainingConfig:
     """Shorten a run to so many samples; the rate falls along its cosine within them."""
     steps = max(1, samples // _BATCH)
-    short = {
-        "steps": steps,
-        "batch": _BATCH,
-        "rate": 1e-3,
-        "warm_up": steps // 20,
-        "ema": 0.99,
-        "precision": "bf16",
-    }
-    return replace(base, optimiser=replace(base.optimiser, **short, seed=seed))
+    optimiser = replace(
+        base.optimiser,
+        steps=steps,
+        batch=_BATCH,
+        rate=1e-3,
+        warm_up=steps // 20,
+        ema=0.99,
+        precision="bf16",
+        seed=seed,
+    )
+    return replace(base, optimiser=optimiser)
 
 
 def measured(config: TrainingConfig, folder: Path) -> np.ndarray:

@@ -120,9 +120,9 @@ def certificates() -> None:
             for _ in range(2)
         ]
     certify(ShutterCode("1101"), shakes[0])
-    for name, code, path in rows:
+    for name, code, motion in rows:
         started = time.process_time()
-        certificate = certify(code, path)
+        certificate = certify(code, motion)
         proven = time.process_time()
         verdict = verify(certificate.to_dict(), bits=code.bits)
         checked = time.process_time()

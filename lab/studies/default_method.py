@@ -11,6 +11,7 @@ up to shift, in linear light, away from the borders.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -37,7 +38,7 @@ CODE = ShutterCode("1110000111000000000110110110011001110011")
 SHUTTERS = {"open": ShutterCode("1" * CODE.chips), "coded": CODE}
 NOISE = ((2.0, 100_000.0), (2.0, 10_000.0), (20.0, 10_000.0))  # e-, photo-electrons
 ERRORS_PX = (0.0, 0.3, 1.0)
-METHODS = {
+METHODS: dict[str, Callable[[FloatArray, FloatArray], FloatArray]] = {
     "pnp": pnp,
     "tv": tv,
     "wiener": wiener,

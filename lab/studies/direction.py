@@ -10,6 +10,7 @@ light); the tested path is off by `--jitter`.
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 
 import numpy as np
 from skimage import data
@@ -39,7 +40,7 @@ SCENES = (
     "coins",
     "page",
 )
-MOTIONS = {
+MOTIONS: dict[str, Callable[[np.random.Generator], Trajectory]] = {
     "Boracchi-Foi": boracchi_foi,
     "accelerated": quadratic,
     "straight": lambda rng: random_straight(rng, min_length_px=10),
@@ -76,7 +77,7 @@ def main() -> None:
     options = parser.parse_args()
     rng = np.random.default_rng(options.seed)
     scenes = [scene(name) for name in SCENES]
-    rows = []
+    rows: list[tuple[str, int, bool, float]] = []
     started = time.process_time()
     while len(rows) < options.photos:
         motion = str(rng.choice(list(MOTIONS)))

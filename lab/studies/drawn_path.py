@@ -31,6 +31,7 @@ from motdiff.estimators.kernel_score import Judge
 from motdiff.estimators.motdiff.drawing import quick_search
 from motdiff.metrics import mnc_subpixel
 from motdiff.motions import boracchi_foi, random_gyro_motion
+from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.diffusion import cosine_schedule
 from motdiff.network.physics_maps import physics_maps
 from motdiff.network.sampling import sample_paths
@@ -56,7 +57,7 @@ def motions(rng: np.random.Generator) -> dict[str, Trajectory]:
     }
 
 
-def trajectories(network: torch.nn.Module, photo: np.ndarray, seed: int) -> dict[str, Trajectory]:
+def trajectories(network: MotDiffNetwork, photo: np.ndarray, seed: int) -> dict[str, Trajectory]:
     crops = photo[None]
     sigma = Judge(crops).sigma
     light = torch.from_numpy(crops.astype(np.float32))[None]

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import time
 
-from cep.search.exhaustive.exact import ExactResult, exact
+from cep.search.exhaustive.exact import ExactResult, ProofLog, exact
 from cep.search.problem import SearchProblem
 from lab.block_proofs.blocks import judge_block, plan_blocks
 from lab.studies.inputs import study_parser
@@ -23,6 +23,12 @@ def timed(problem: SearchProblem, threads: int) -> tuple[ExactResult, float]:
     return result, time.process_time() - started
 
 
+def scan_log(result: ExactResult) -> ProofLog:
+    """Log of a scan; a proof that comes with the package has none."""
+    assert isinstance(result.proof, ProofLog)
+    return result.proof
+
+
 def free(longest: int, threads: int) -> None:
     print(
         "| n | largest min &#124;P&#124; | k | length | code | codes | cpu s"
@@ -31,7 +37,7 @@ def free(longest: int, threads: int) -> None:
     for chips in range(8, longest + 1):
         result, seconds = timed(SearchProblem.along(chips=chips), threads)
         core = result.code.bits.strip("0")
-        codes = sum(entry.codes for entry in result.proof.lengths)
+        codes = sum(entry.codes for entry in scan_log(result).lengths)
         row = (
             chips,
             f"{result.proof.upper:.6f}",
@@ -67,7 +73,7 @@ def by_open(longest: int, threads: int) -> None:
 def speed(threads: int) -> None:
     for chips in (28, 32, 36):
         result, seconds = timed(SearchProblem.along(chips=chips), threads)
-        judged_codes = sum(entry.judged for entry in result.proof.lengths)
+        judged_codes = sum(entry.judged for entry in scan_log(result).lengths)
         print(
             f"n = {chips}: {result.seconds:.2f} s, {seconds:.2f} cpu s with {threads} thread(s), "
             f"{judged_codes / seconds / 1e9:.2f} G codes a cpu second (each mirror pair counted"
@@ -88,7 +94,7 @@ def compare(chips: int) -> None:
         )
         for block in plan.blocks
     ]
-    assert sum(record["codes"] for record in records) == plan.codes
+    assert sum(int(record["codes"]) for record in records) == plan.codes
     assert result.code.bits.strip("0") in " ".join(str(record["survivors"]) for record in records)
     folded = sum(float(record["seconds"]) for record in records)
     print(f"n = {chips}: bit tables {seconds:.2f} cpu s, folds {folded:.2f} cpu s", flush=True)

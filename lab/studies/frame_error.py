@@ -15,6 +15,7 @@ With a bend the drawn motions are those of constant acceleration, as of
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from unittest.mock import patch
 
@@ -52,13 +53,13 @@ def problem_of(path: Trajectory, *, photons: float, read_noise_e: float) -> Sear
     )
 
 
-def trial_of(problem: SearchProblem, scenes: list[FloatArray]) -> PhotoTrial:
+def trial_of(problem: SearchProblem, scenes: Sequence[FloatArray]) -> PhotoTrial:
     return PhotoTrial(
         problem.directed_paths(), scenes, camera=problem.camera, chip_ns=problem.chip_ns
     )
 
 
-def compare_equal_codes(scenes: list[FloatArray], count: int) -> None:
+def compare_equal_codes(scenes: Sequence[FloatArray], count: int) -> None:
     """Print a row for each motion of :data:`EQUAL`."""
     print(
         "| length, px | objective, dB, best to worst | PSNR, standard deviation, dB"
@@ -92,7 +93,7 @@ def compare_equal_codes(scenes: list[FloatArray], count: int) -> None:
         )
 
 
-def compare_optimize(scenes: list[FloatArray], count: int, *, bend: float, seed: int) -> None:
+def compare_optimize(scenes: Sequence[FloatArray], count: int, *, bend: float, seed: int) -> None:
     """Print a row for each of ``count`` drawn motions: PSNR of the code and of what is advised."""
     print(
         "| length, px | photo-electrons | read noise, e- | code before, dB | now, dB | gain, dB |"

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -91,13 +92,13 @@ def figures_of(options: argparse.Namespace, index: int, noise: float) -> Row:
     fused = estimate_motion(blurred, method=options.method)
     truth = path.psf(FRAME_PX)
     singles = tuple(mnc_subpixel(estimate.psf, truth) for estimate in estimates)
-    left_out = tuple(fused.details["left_out"])
+    details: dict[str, Any] = fused.details
     return Row(
         singles,
         singles[int(np.argmax([estimate.confidence for estimate in estimates]))],
         mnc_subpixel(fused.psf, truth),
-        int(fused.details["seen_in"]),
-        left_out,
+        int(details["seen_in"]),
+        tuple(details["left_out"]),
     )
 
 

@@ -112,7 +112,9 @@ class SharedSearches:
         self._kernels: dict[tuple[str, bytes], tuple[Any, float]] = {}
         self.spared_s = 0.0
 
-    def run(self, search: Callable[..., Any], crops: FloatArray, *plan: Any, **options: Any):
+    def run(
+        self, search: Callable[..., Any], crops: FloatArray, *plan: Any, **options: Any
+    ) -> Any:
         """Search the crops (C, H, W), or give what was found before."""
         key = search.__qualname__, crops.tobytes()
         if key in self._kernels:
@@ -190,7 +192,8 @@ class MotDiff(MotDiffEstimator):
 
     def search(self, crops: FloatArray, *plan: Any, **options: Any) -> FoundKernels:
         """Search kernels, or give those of before."""
-        return self._shared.run(super().search, crops, *plan, **options)
+        kernels: FoundKernels = self._shared.run(super().search, crops, *plan, **options)
+        return kernels
 
 
 class Uncorrected(MotDiff):
@@ -278,6 +281,7 @@ def drawn(
     """
     figures: dict[str, object] = {}
     crops = luminance(photo.light)[None]
+    assert photo.conditions is not None
     conditions = list(photo.conditions[:2])
     for steps in _STEPS:
         draws = draw_psfs(
@@ -336,15 +340,15 @@ def draw_count(row: Mapping[str, Any]) -> int:
     return len(row[_LAST_DRAWS]["mnc"]) if _LAST_DRAWS in row else 0
 
 
-def merged_rows(lines: Iterable[dict]) -> list[dict]:
+def merged_rows(lines: Iterable[dict[str, Any]]) -> list[dict[str, Any]]:
     """Rows of a file; the lines of one case are one row."""
-    rows: dict[str, dict] = {}
+    rows: dict[str, dict[str, Any]] = {}
     for line in lines:
         rows.setdefault(case_key(line.get("case", {"name": line["name"]})), {}).update(line)
     return list(rows.values())
 
 
-def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
+def groups(rows: list[dict[str, Any]]) -> Iterator[tuple[str, list[dict[str, Any]]]]:
     """All rows, and those of each kind of motion, level of noise, third of detail, and confidence
     of ``pmp``.
     """
@@ -354,7 +358,7 @@ def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
     thirds = tuple(
         float(x) for x in np.quantile([row["detail"] for row in rows], (1 / 3, 2 / 3)).round(3)
     )
-    levels = (
+    levels: tuple[tuple[str, tuple[float, ...], Callable[[dict[str, Any]], float]], ...] = (
         ("noise", _NOISE, lambda row: row["sigma"]),
         ("detail", thirds, lambda row: row["detail"]),
         ("confidence of pmp", _CONFIDENCE, lambda row: row["pmp"]["confidence"]),
@@ -365,7 +369,7 @@ def groups(rows: list[dict]) -> Iterator[tuple[str, list[dict]]]:
         yield f"{name} {high:g} or more", [row for row in rows if value(row) >= high]
 
 
-def difference(rows: list[dict], first: str, second: str) -> str:
+def difference(rows: list[dict[str, Any]], first: str, second: str) -> str:
     """Mean paired difference with its 95 % interval, photos of one scene drawn together."""
     less = [row[first]["mnc"] - row[second]["mnc"] for row in rows]
     interval = mean_interval(
@@ -376,7 +380,7 @@ def difference(rows: list[dict], first: str, second: str) -> str:
     return f"{interval.mean:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
 
 
-def line(name: str, rows: list[dict]) -> str:
+def line(name: str, rows: list[dict[str, Any]]) -> str:
     """Line of the table: means, paired differences, and the photos whose kernel became clearly
     better or worse.
     """
@@ -389,7 +393,7 @@ def line(name: str, rows: list[dict]) -> str:
     return f"| {name} | {len(rows)} | {means} | {less} | {changed} |"
 
 
-def table(rows: list[dict]) -> Iterator[str]:
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Lines of the tables: sub-pixel MNC by group, and draws of the networks."""
     complete = [row for row in rows if all(name in row for name in METHODS)]
     if len(complete) < len(rows):

@@ -130,7 +130,7 @@ def drawn(root: Path, count: int, rng: np.random.Generator) -> list[Mutation]:
                 rooms.setdefault(Path(*module.parent.parts[:2]), []).append(options)
     names = list(rooms)
     rng.shuffle(names)
-    choices = []
+    choices: list[Mutation] = []
     for name in cycle(names):
         if len(choices) == count or not any(rooms.values()):
             break

@@ -27,6 +27,7 @@ from cep.search.problem import SearchProblem
 from lab.class_code.motions import draw_motions
 from lab.studies.inputs import study_parser
 from motdiff.trajectory import Trajectory
+from motdiff.types import FloatArray
 
 ROWS = ("noise", "noise x8", "mse", "mse x8")
 _KNOTS = 201
@@ -62,7 +63,7 @@ def restored_db(true: Trajectory, assumed: Trajectory, code: ShutterCode) -> tup
     inverse = inverse_scene(samples)[:, 0]
     noise = noise_variance(Camera(), code.duty)
 
-    def error_db(stated_db: float) -> float:
+    def error_db(stated_db: FloatArray) -> float:
         gain = np.conj(assumed_otf) / (np.abs(assumed_otf) ** 2 + stated_db * inverse)
         lost = np.abs(1 - gain * passed) ** 2 / inverse + np.abs(gain) ** 2 * noise
         return float(10 * np.log10(samples.weight @ lost))

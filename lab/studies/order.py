@@ -152,14 +152,14 @@ def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
 # -- one case
 
 
-def figures_of(case: Case) -> dict[str, object]:
+def figures_of(case: Case) -> dict[str, Any]:
     if case.set.startswith(CHOSEN):
         return chosen_figures(case)
     _, figures = estimated(case)
     return figures
 
 
-def estimated(case: Case) -> tuple[MotionEstimate | None, dict[str, object]]:
+def estimated(case: Case) -> tuple[MotionEstimate | None, dict[str, Any]]:
     """Estimate of a case's photos, None where they are refused, and its figures."""
     from motdiff.estimators.coded.estimator import CodedEstimator
     from motdiff.estimators.coded.trail_estimator import TrailEstimator
@@ -168,7 +168,7 @@ def estimated(case: Case) -> tuple[MotionEstimate | None, dict[str, object]]:
     path, photos = photos_of(case)
     started = time.perf_counter()
     began_cpu = time.process_time()
-    row: dict[str, object]
+    row: dict[str, Any]
     estimate = None
     try:
         estimate = estimator(case.codes, seed=case.index).estimate_from(photos)
@@ -195,7 +195,7 @@ def estimated(case: Case) -> tuple[MotionEstimate | None, dict[str, object]]:
     return estimate, row | seconds
 
 
-def chosen_figures(case: Case) -> dict[str, object]:
+def chosen_figures(case: Case) -> dict[str, Any]:
     """Figures of the last of several photos, each code chosen after the photos before it.
 
     ``steps`` holds those of each photo from the second on.
@@ -207,8 +207,8 @@ def chosen_figures(case: Case) -> dict[str, object]:
     rng = np.random.default_rng(case.index)
     case = replace(case, codes=case.codes[:1])
     _, photos = photos_of(case)
-    estimate = estimate_motion(photos[0], seed=case.index)
-    steps: list[dict[str, object]] = []
+    estimate: MotionEstimate = estimate_motion(photos[0], seed=case.index)
+    steps: list[dict[str, Any]] = []
     for _ in range(int(case.set.removeprefix(CHOSEN) or 1)):
         began_cpu = time.process_time()
         codes = [ShutterCode(bits) for bits in case.codes]
@@ -233,7 +233,7 @@ def chosen_figures(case: Case) -> dict[str, object]:
     return steps[-1] | {"steps": steps}
 
 
-def is_right(row: dict[str, object]) -> bool:
+def is_right(row: dict[str, Any]) -> bool:
     return (
         "error_px" in row and row["error_px"] <= RIGHT_PX and row["error_px"] < row["reversed_px"]
     )
@@ -242,7 +242,7 @@ def is_right(row: dict[str, object]) -> bool:
 # -- many cases
 
 
-def measured(cases: Sequence[Case], workers: int) -> Iterator[tuple[Case, dict[str, object]]]:
+def measured(cases: Sequence[Case], workers: int) -> Iterator[tuple[Case, dict[str, Any]]]:
     if workers == 1:
         yield from ((case, figures_of(case)) for case in cases)
         return
@@ -266,11 +266,11 @@ def measured(cases: Sequence[Case], workers: int) -> Iterator[tuple[Case, dict[s
 # -- tables
 
 
-def numbers(rows: Sequence[dict[str, object]], name: str) -> FloatArray:
+def numbers(rows: Sequence[dict[str, Any]], name: str) -> FloatArray:
     return np.array([row[name] for row in rows], dtype=np.float64)
 
 
-def order_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
+def order_table(rows: Sequence[tuple[Case, dict[str, Any]]]) -> None:
     print(
         "\n| motions | noise | set | count | right | error, px: median | p90 | backwards | any"
         " given | s | CPU s |"
@@ -301,7 +301,7 @@ def order_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
         )
 
 
-def confidence_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
+def confidence_table(rows: Sequence[tuple[Case, dict[str, Any]]]) -> None:
     print("\n| set | stated confidence | motions | mean stated | right |\n|---|---|---|---|---|")
     for name in sorted({case.set for case, _ in rows}):
         finished_rows = [row for case, row in rows if case.set == name and "error_px" in row]
@@ -320,7 +320,7 @@ def confidence_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
                 )
 
 
-def uncertainty_table(rows: Sequence[tuple[Case, dict[str, object]]]) -> None:
+def uncertainty_table(rows: Sequence[tuple[Case, dict[str, Any]]]) -> None:
     print(
         "\nof the right ones\n| set | motions | stated, px: median | true | true / stated: median"
         " | p90 |"
@@ -458,7 +458,7 @@ def cases_of(options: argparse.Namespace) -> list[Case]:
     ]
 
 
-def case_line(case: Case, row: dict[str, object]) -> str:
+def case_line(case: Case, row: dict[str, Any]) -> str:
     """Say how one case came out."""
     verdict = "right" if is_right(row) else "wrong"
     figures = "  ".join(

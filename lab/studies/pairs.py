@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -65,7 +66,7 @@ def snapshot(chips: int, share: float) -> ShutterCode:
     return ShutterCode("0" * before + "1" * count + "0" * (chips - before - count))
 
 
-def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, object]:
+def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, Any]:
     """PSNR of each row, and of the pairs the error, stated probability and seconds."""
     code = load_code(options.code)
     path, rng = known_motion(motions, index, seed=options.seed, gyro=options.gyro)
@@ -85,7 +86,7 @@ def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, 
         )
 
     open_photo = photo(ShutterCode("1" * code.chips))
-    row: dict[str, object] = {"open": psnr_db(restore(open_photo, anyway=True).image)}
+    row: dict[str, Any] = {"open": psnr_db(restore(open_photo, anyway=True).image)}
     mean_photo = (open_photo + photo(ShutterCode("1" * code.chips))) / 2
     row["two open"] = psnr_db(restore(mean_photo, anyway=True).image)
     row["open, true path"] = psnr_db(
@@ -102,6 +103,7 @@ def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, 
         row[name] = psnr_db(restored.image / light)
         row[f"{name}: cpu_s"] = time.process_time() - start_s
         row[f"{name}: probability"] = restored.psf_confidence
+        assert restored.trajectory is not None
         row[f"{name}: error_px"] = timed_distance_px(restored.trajectory, path)
         if name == "pair":
             informed = restore_together(photos, codes, path, cameras=[camera] * 2)
@@ -109,7 +111,7 @@ def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, 
     return row
 
 
-def table(rows: list[tuple[str, dict[str, object]]]) -> None:
+def table(rows: list[tuple[str, dict[str, Any]]]) -> None:
     rng = np.random.default_rng(0)
     for kind in sorted({motions for motions, _ in rows}):
         chosen = [row for motions, row in rows if motions == kind]

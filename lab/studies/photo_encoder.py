@@ -76,7 +76,8 @@ def measured(trainer: Trainer, batches: list[Batch]) -> tuple[float, np.ndarray]
     assert isinstance(network, MotDiffNetwork)
     sampler = deepcopy(network)
     # as when exported
-    sampler.denoiser.output[1].bias[0] -= math.log(trainer.config.loss.path_weight + 1)
+    bias = sampler.denoiser.get_parameter("output.1.bias")
+    bias[0] -= math.log(trainer.config.loss.path_weight + 1)
     blank = trainer.config.data.physics_dropout == _BLANKED
     losses: list[float] = []
     scores: list[list[list[float]]] = [[] for _ in _STEPS]
@@ -123,9 +124,17 @@ def main() -> None:
     parser.add_argument("--updates", type=int, default=128)
     options = parser.parse_args()
     base = read_config(options.config)
-    steps = {"steps": options.updates, "warm_up": options.updates // 8, "rate": 4e-4, "ema": 0.98}
-    fields = {"start": str(DEFAULT_WEIGHTS), "window": 64, "precision": "bf16"}
-    base = replace(base, optimiser=replace(base.optimiser, **steps, **fields))
+    optimiser = replace(
+        base.optimiser,
+        steps=options.updates,
+        warm_up=options.updates // 8,
+        rate=4e-4,
+        ema=0.98,
+        start=str(DEFAULT_WEIGHTS),
+        window=64,
+        precision="bf16",
+    )
+    base = replace(base, optimiser=optimiser)
     batches = held_out(base)
     reference: dict[str, np.ndarray] = {}
     print("| row | motions | photos | loss | MNC, one step | ten steps | more than the start |")

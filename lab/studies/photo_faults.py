@@ -17,6 +17,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -122,7 +123,7 @@ def _through_jpeg(light: FloatArray, *, quality: int) -> FloatArray:
     values = np.rint(255 * to_display(np.clip(light, 0, 1))).astype(np.uint8)
     _, buffer = cv2.imencode(".jpg", values, [cv2.IMWRITE_JPEG_QUALITY, quality])
     decoded = cv2.imdecode(buffer, cv2.IMREAD_GRAYSCALE)
-    return to_linear(decoded / 255.0)
+    return to_linear(np.asarray(decoded) / 255.0)
 
 
 def figures(photo: FaultyPhoto, estimator: MotDiffEstimator) -> dict[str, object]:
@@ -141,7 +142,7 @@ def figures(photo: FaultyPhoto, estimator: MotDiffEstimator) -> dict[str, object
     }
 
 
-def table(rows: list[dict]) -> Iterator[str]:
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Lines of the table: all photos, and those by what the camera turned."""
     yield "| turn, degrees | photos | MNC | good | stated confidence | s, mean | s, worst |"
     yield "|---|---:|---:|---:|---:|---:|---:|"

@@ -19,6 +19,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -100,7 +101,7 @@ def figures(shot: Shot, estimator: MotDiffEstimator) -> dict[str, object]:
     }
 
 
-def table(rows: list[dict]) -> Iterator[str]:
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Lines of the table, a row for each kind of motion."""
     yield (
         "| motions | photos | kernel | path's PSF | difference | path, px | timed, px | sure |"

@@ -118,8 +118,10 @@ def main() -> None:
             if name == "pnp"
             else f"{interval.mean:+.2f} [{interval.low:+.2f}, {interval.high:+.2f}]"
         )
-        psf = "true" if is_true else "wrong"
-        print(f"{psf:6} {level:9.0f}  {name:7} {psnr_db:8.2f} {ssim:6.3f} {seconds:6.2f}  {gain}")
+        label = "true" if is_true else "wrong"
+        print(
+            f"{label:6} {level:9.0f}  {name:7} {psnr_db:8.2f} {ssim:6.3f} {seconds:6.2f}  {gain}"
+        )
 
 
 if __name__ == "__main__":

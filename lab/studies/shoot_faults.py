@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 from unittest.mock import patch
 
 import numpy as np
@@ -190,9 +190,9 @@ def run_twin(fault: str, folder: Path, rng: np.random.Generator) -> Outcome:
 def run_killed(_fault: str, folder: Path, rng: np.random.Generator) -> Outcome:
     """Kill the host with signal 9 while the controller is armed, or plays."""
     plays = bool(rng.integers(2))
-    how = ("--arm", "always", "--chip-ns", str(CHIP_NS))
+    how = ["--arm", "always", "--chip-ns", str(CHIP_NS)]
     if plays:
-        how = ("--camera", f"folder:{folder}", "--trigger", "shutter", "--chip-ns", "20000000")
+        how = ["--camera", f"folder:{folder}", "--trigger", "shutter", "--chip-ns", "20000000"]
     program = (sys.executable, "-c", "from cep.commands.main import run; run()", "shoot", *how)
     with EmulatedUno() as uno:
         host = subprocess.Popen(
@@ -258,7 +258,7 @@ def _put(fault: str, photo: int, shot: Path) -> Iterator[None]:
 
     imwrite, read = tifffile.imwrite, Controller.read
 
-    def full(path: Path, *arguments: object, **options: object) -> None:
+    def full(path: Path, *arguments: Any, **options: Any) -> None:
         if Path(path).name == f"photo_{photo:03d}.tif" and "cep-" not in str(path):
             raise OSError(28, "No space left on device", str(path))
         imwrite(path, *arguments, **options)

@@ -223,7 +223,7 @@ def refused(netloc: str, cookie: str, count: int) -> None:
     hostile = runpy.run_path(str(HOSTILE_REQUESTS))["hostile"]
     before = left()
     rng = np.random.default_rng(1)
-    codes = {}
+    codes: dict[int | None, int] = {}
     for number in range(count):
         method, path, changed, chunks = hostile(rng)
         headers = {"host": netloc, "origin": f"http://{netloc}", "cookie": cookie}
@@ -253,7 +253,7 @@ def send(
     chunks: list[bytes],
     *,
     half: bool = False,
-):
+) -> tuple[int | None, dict[str, str]]:
     connection = http.client.HTTPConnection(netloc, timeout=20)
     try:
         connection.putrequest(
