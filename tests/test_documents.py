@@ -101,3 +101,11 @@ def test_the_list_of_studies_is_whole():
     studies = {file.stem for file in folder.glob("*.py")} - {"__init__", "inputs", "motions"}
     text = (folder / "README.md").read_text(encoding="utf-8")
     assert set(re.findall(r"^\| `(\w+)` \|", text, re.MULTILINE)) == studies
+
+
+def test_the_list_of_the_laboratory_s_rooms_is_whole():
+    lab = ROOT / "lab"
+    text = (lab / "README.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (`.*?/`) \|", text, re.MULTILINE)
+    rooms = {file.parent.name for file in lab.glob("*/__init__.py")}
+    assert {room for row in rows for room in re.findall(r"`(\w+)/`", row)} == rooms
