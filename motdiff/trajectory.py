@@ -120,9 +120,9 @@ class Trajectory:
             values.setflags(write=False)
             object.__setattr__(self, name, values)
 
-    def __eq__(self, other: object) -> bool:
-        """Whether another is the same path in the same order, sample by sample."""
-        return isinstance(other, Trajectory) and self._samples == other._samples
+    def __eq__(self, value: object) -> bool:
+        """Whether a value is the same path in the same order, sample by sample."""
+        return isinstance(value, Trajectory) and self._samples == value._samples
 
     def __hash__(self) -> int:
         """Of the same samples, so that a trajectory can be looked up."""
