@@ -16,6 +16,7 @@ from cep.optics.code import ShutterCode
 from cep.optics.exposure import mtf
 from cep.search.annealing import anneal
 from cep.search.code_search import SearchOptions
+from cep.search.cost import CodeCost
 from cep.search.problem import OBJECTIVES, SearchProblem
 from lab.class_code.motions import MOST_SCENARIOS, class_scenarios, draw_motions
 from lab.class_code.search import check_class, optimize_class, per_motion_db
@@ -142,13 +143,12 @@ def test_the_verdict_recommends_nothing_that_loses_to_its_own_table():
 
 
 def test_a_search_whose_samples_take_longer_than_its_time_makes_moves(monkeypatch):
-    real = anneal.CodeCost
+    class SlowCost(CodeCost):
+        def __init__(self, *given, **options):
+            time.sleep(0.5)
+            super().__init__(*given, **options)
 
-    def slow(*given, **options):
-        time.sleep(0.5)
-        return real(*given, **options)
-
-    monkeypatch.setattr(anneal, "CodeCost", slow)
+    monkeypatch.setattr(anneal, "CodeCost", SlowCost)
     best = optimize_class(WALKS, PROBLEM, SearchOptions(time_s=0.4), threads=1)
     assert best.outcome.stopped == "time"
     assert best.outcome.steps > 0
