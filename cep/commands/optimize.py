@@ -95,11 +95,11 @@ class OptimizeOptions(CommonOptions, SearchRunOptions, CodeOptions, MotionOption
 def optimize(options: OptimizeOptions) -> None:
     """Search the code whose photo restores best along a motion; Ctrl-C keeps the best so far.
 
-    The code is compared with what would be used instead, and never loses to what of it keeps the
-    limits, by the objective, but for a single exposure that photographs show to be worse; with
-    --frames 2 together with its complement in a second camera. Of one camera its minimum is
-    certified, and a bound says how far from the best it can be at most. cep audit code.json checks
-    the certificate again.
+    The code is compared with what would be used instead, and never loses to another code that
+    keeps the limits, by the objective; between it and a single exposure photographs decide. With
+    --frames 2 it is compared together with its complement in a second camera. Of one camera its
+    minimum is certified, and a bound says how far from the best it can be at most. cep audit
+    code.json checks the certificate again.
 
     Fields of --json that need a word:
 

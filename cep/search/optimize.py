@@ -57,9 +57,9 @@ def optimize(
 ) -> OptimizedCode:
     """Search the best code along a problem's motions, certify it, and compare it with others.
 
-    No code of the comparison that keeps the problem's limits is better by its objective; a single
-    exposure is only where photographs prefer the code. Whether to use the code at all is decided
-    by photographs, see :class:`cep.search.verdict.Verdict`.
+    No code of the comparison that keeps the problem's limits is better by its objective. Between
+    the code and a single exposure photographs decide, see :class:`cep.search.verdict.Verdict`: one
+    that is better by the objective is returned where they advise no code.
 
     Parameters
     ----------

@@ -140,7 +140,7 @@ class SearchProblem:
         for name in ("frames", "chip_ns", "chips"):
             object.__setattr__(self, name, int(getattr(self, name)))
         if self.open_range is not None:
-            if len(self.open_range) != 2 or not all(map(is_whole, self.open_range)):
+            if np.shape(self.open_range) != (2,) or not all(map(is_whole, self.open_range)):
                 raise ValueError(
                     "open_range: must be two whole numbers, the fewest and the most open chips,"
                     f" got {self.open_range!r}"

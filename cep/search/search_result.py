@@ -75,7 +75,9 @@ class SearchResult:
     stopped : {"steps", "time", "interrupted", "complete", "proven"}
         The time limit makes the outcome depend on the machine.
     baselines : tuple of Baseline
-        What the code was compared with: none of them that keeps the limits has a lower cost.
+        What the code was compared with: none of them that keeps the limits has a lower cost, but
+        for a single exposure in whose place :func:`cep.search.optimize.optimize` put a code that
+        photographs prefer.
         Ctrl-C may have cut them short; of an annealing alone there are none.
     proof : dict or None
         Log of the proof; ``file`` names that of a bundled proof.

@@ -260,12 +260,14 @@ def verdict(
         ]
 
     compete = bool(rivals) and bool(competing(modelled))
+    # which gives way to a code that is advised, and to no other
+    single = problem.frames == 1 and bool(codes) and kind_of(codes[0]) in PLAIN
     if is_measurable and problem.frames == 1:  # the table behind it is of one camera
         announce(expectation(problem, verdict_of(problem, modelled, codes)))
     exposures = measured_exposures(
         problem,
         modelled,
-        own_codes=() if compete else codes,
+        own_codes=() if compete and not single else codes,
         path_error_px=path_error_px,
         photographs=photographs,
         progress=progress,
@@ -274,7 +276,7 @@ def verdict(
     if compete and measured:
         best = max(competing(exposures), key=attrgetter("psnr_db")).code
         of_best = verdict_of(problem, exposures, (best,), path_error_px=path_error_px)
-        if of_best.choice == "code" or kind_of(codes[0]) not in PLAIN:
+        if of_best.choice == "code" or not single:
             return of_best
     return verdict_of(problem, exposures, codes, path_error_px=path_error_px)
 

@@ -65,7 +65,7 @@ def row(name: str, problem: SearchProblem, seconds: float, *, noise: bool) -> No
         code = anneal(goal_problem, rng=np.random.default_rng(0), steps=None, time_s=seconds).code
         metrics = problem.measure(code, budget=0)
         if not problem.scenarios:
-            reached = CodeCost(goal_problem, oversampling=64, dtype=np.float64).exact_cost(code)
+            reached = CodeCost.fine(goal_problem).exact_cost(code)
             reached = reached if goal == "noise" else 10 ** (-reached / 20) * problem.chips
         else:
             reached = metrics.noise_gain_db if goal == "noise" else metrics.min_mtf * problem.chips

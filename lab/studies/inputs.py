@@ -12,15 +12,15 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
+from cep.files.images import read_image
 from motdiff.crops import pick_crops
 from motdiff.photo_values import luminance, to_linear
 from motdiff.types import FloatArray
 
 BUNDLED = ("camera", "astronaut", "coffee", "chelsea", "brick", "coins", "page", "moon")
-PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".bmp"})
+PICTURES = frozenset({".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp"})
 
 # -- photos ---------------------------------------------------------------------------------------
 
@@ -50,10 +50,8 @@ def photo_files(folder: Path) -> list[Path]:
 
 def read_light(file: Path) -> FloatArray:
     """Linear light (H, W, 3) of a photo; ValueError where it cannot be read."""
-    image = cv2.imread(str(file), cv2.IMREAD_COLOR)
-    if image is None:
-        raise ValueError(f"{file}: cannot be read as a photo")
-    return to_linear(image[..., ::-1] / 255.0)
+    light = read_image(file)
+    return light if light.ndim == 3 else np.repeat(light[..., None], 3, axis=2)
 
 
 def large_scenes(

@@ -35,6 +35,7 @@ from lab.bench.blind.protocol import Protocol
 from lab.bench.statistics import mean_interval
 from lab.evaluation.draws import measure_draws
 from lab.evaluation.sets import levin_photo
+from lab.jobs.cells import Cell
 from lab.studies.inputs import (
     add_row,
     case_key,
@@ -209,27 +210,31 @@ def prepared_photos(config_file: Path) -> Iterator[Photo]:
     samples = read_shards(config.data.prepared_validation)
     kinds = drawn_kinds(config.motions, count=len(samples), seed=config.optimiser.seed + 1)
     truth = psfs_of_maps(samples.dwell[:, 0].float()).double().numpy()
-    for i, kind in enumerate(kinds):
+
+    def sample(i: int) -> Photo:
         light = samples.photos[i, 0].double().div(255).square().numpy()
-        yield Photo(
-            f"{i:04d}", kind, f"{i:04d}", light, truth[i], samples.kernels[i].double().numpy()
-        )
+        kernels = samples.kernels[i].double().numpy()
+        return Photo(f"{i:04d}", kinds[i], f"{i:04d}", light, truth[i], kernels)
+
+    return map(sample, range(len(kinds)))  # what cannot be read is refused before
 
 
 def protocol_photos(folder: Path, protocol: Protocol, recording: Path | None) -> Iterator[Photo]:
     """Photos of a blind table, or Levin's."""
     trace = None if recording is None else read_gyro(recording)
-    for cell in blind_plan(protocol, ["pmp"], folder=folder, trace=trace).cells:
-        method, scene, shake, _ = cell.name
-        if method != "pmp":
-            continue
+    cells = blind_plan(protocol, ["pmp"], folder=folder, trace=trace).cells
+
+    def photo(cell: Cell) -> Photo:
+        _, scene, shake, _ = cell.name
         simulated = "shot" in cell.arguments
         if simulated:
             case = make_case(*(cell.arguments[name] for name in ("photo", "motion", "shot")))
         else:
             case = levin_photo(cell.arguments["photo"])
         kind = "real" if not simulated else "gyro" if protocol.motion.gyro else "boracchi_foi"
-        yield Photo(f"{scene}/{shake}", kind, scene, case.photo, case.psf)
+        return Photo(f"{scene}/{shake}", kind, scene, case.photo, case.psf)
+
+    return map(photo, [cell for cell in cells if cell.name[0] == "pmp"])
 
 
 def estimators(shared: SharedSearches) -> dict[str, Estimator]:

@@ -176,6 +176,11 @@ class SuiteRun:
         return not UNFINISHED & set(self.failed)
 
     @property
+    def imported(self) -> bool:
+        """Whether every module of tests could be imported; else pytest runs no test at all."""
+        return all("::" in name for name in self.failed)
+
+    @property
     def limit_s(self) -> float:
         """Longest time that the same tests get with a mutation."""
         return max(_LEAST_S, _SLOWER * self.wall_s)
@@ -279,10 +284,12 @@ def judged(
     for mutation in mutations:
         tests = names_of_tests(workplace.root, mutation.module)
         unmutated = workplace.unmutated(tests)
-        failed = workplace.run(
-            [mutation], tests, limit_s=unmutated.limit_s, first=True, without=unmutated.failed
-        ).failed
-        if failed and unmutated.finished:
+        failed: tuple[str, ...] = ()
+        if unmutated.finished and unmutated.imported:
+            failed = workplace.run(
+                [mutation], tests, limit_s=unmutated.limit_s, first=True, without=unmutated.failed
+            ).failed
+        if failed:
             yield mutation, failed[0]
         else:
             print(f"{mutation}: not by {tests[0]}", flush=True)

@@ -46,6 +46,7 @@ from lab.studies.inputs import (
     textured_scene,
 )
 from lab.studies.motions import MOTIONS, motion_for_codes
+from motdiff.files.gyro_tables import read_gyro
 from motdiff.metrics import timed_distance_px
 from motdiff.simulate import photograph
 from motdiff.trajectory import Trajectory
@@ -417,6 +418,8 @@ def parsed_options() -> argparse.Namespace:
     with refusals(parser):
         if options.photos:
             photo_files(Path(options.photos))
+        if options.gyro:
+            read_gyro(options.gyro)
         options.earlier = finished_cases(options.results)
     try:
         options.codes = {

@@ -61,7 +61,7 @@ def main() -> None:
     for index in range(options.problems):
         problem = random_problem(rng)
         result = search_code(problem, SearchOptions(steps=options.steps, seed=index), threads=1)
-        fine = CodeCost(problem, oversampling=64, dtype=np.float64)
+        fine = CodeCost.fine(problem)
         path_cost = fine.exact_cost(result.code)
         costs = {row.name: fine.exact_cost(row.code) for row in result.baselines}
         within = {row.name for row in result.baselines if problem.allows(row.code)}

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 from motdiff.metrics import mnc
 from motdiff.network.denoiser import MotDiffNetwork
 from motdiff.network.sampling import psfs_of_maps, sample_paths
@@ -123,7 +123,8 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("photo_encoder"))
     parser.add_argument("--updates", type=int, default=128)
     options = parser.parse_args()
-    base = read_config(options.config)
+    with refusals(parser):
+        base = read_config(options.config)
     optimiser = replace(
         base.optimiser,
         steps=options.updates,

@@ -15,7 +15,7 @@ from scipy import spatial
 from lab.bench.blind.protocol import synthetic_trace
 from lab.evaluation.map_tracing import trace_map
 from lab.evaluation.metrics import ordered_distance_px
-from lab.studies.inputs import study_parser
+from lab.studies.inputs import refusals, study_parser
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.gyro import GyroTrace
 from motdiff.metrics import mnc_subpixel
@@ -154,12 +154,13 @@ def main() -> None:
     )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
+    with refusals(parser):
+        trace = (
+            read_gyro(options.gyro)
+            if options.gyro
+            else synthetic_trace(options.seed, duration_s=120.0, rate_hz=200.0)
+        )
     order_table(options.maps, options.seed)
-    trace = (
-        read_gyro(options.gyro)
-        if options.gyro
-        else synthetic_trace(options.seed, duration_s=120.0, rate_hz=200.0)
-    )
     dwell_table(options.motions, trace, options.seed)
 
 

@@ -19,7 +19,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from lab.studies.goldens.cases import case_names
 from lab.studies.goldens.comparison import compare
 from lab.studies.goldens.recording import PreparationError, record
 from lab.studies.inputs import study_parser
@@ -62,8 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             parser.error(str(error))
         return 0
     for folder in (options.before, options.after):
-        if not case_names([folder]):
-            parser.error(f"{folder}: is no record: it has no NAME/files.json")
+        if not (folder / "seconds.json").is_file():  # written last
+            parser.error(f"{folder}: is no record that came to its end: it has no seconds.json")
     return 0 if compare(options.before, options.after, most_lines=options.lines) else 1
 
 

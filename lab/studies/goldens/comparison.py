@@ -14,7 +14,7 @@ from lab.studies.goldens.placeholders import as_text
 RELATIVE = 1e-6
 """Numbers that differ by less, relatively, count as equal."""
 
-NUMBER = re.compile(r"[-+]?\d*\.\d+(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?\d+[eE][-+]?\d+(?!\w)")
+NUMBER = re.compile(r"(?<!\d)[-+]?\d*\.\d+(?:[eE][-+]?\d+)?|(?<![\w.])[-+]?\d+[eE][-+]?\d+(?!\w)")
 """Numbers with a point or an exponent. Whole ones are text: codes, hashes and counts are equal or
 differ."""
 

@@ -200,7 +200,7 @@ def test_only_what_a_strobe_can_play_is_proposed(cep, lab, workplace):
         for bits in [found["bits"]] if isinstance(found["bits"], str) else found["bits"]:
             program = Program(bits, chip_ns=1_000_000)
             assert load_profile("strobe.toml").check(program) == ()
-    # the stricter one of device and option counts
+    # limits of the device and of an option count together
     found = cep.succeeds("optimize", *options, "--steps", "3000", "--min-open", "2")
     assert read_code("code.json").problem["min_open"] == 2
     code = ShutterCode(found["bits"])

@@ -7,6 +7,7 @@ import pytest
 
 from cep.optics.camera import Camera
 from cep.optics.code import ShutterCode
+from cep.optics.response import ShutterResponse
 from cep.optics.scene import SCENES
 from cep.search.cost import CodeCost
 from cep.search.limits import RunLimits
@@ -14,6 +15,7 @@ from cep.search.problem import Scenario, SearchProblem
 from motdiff.trajectory import Trajectory
 
 CODES = np.array([ShutterCode(bits).array for bits in ("11010010", "10110001", "00111000")])
+SLOW = ShutterResponse(chip_ns=1_000_000, rise_ns=9_000, fall_ns=9_000)
 PROBLEM = SearchProblem.along(Trajectory.straight(9.0), chips=8, objective="mse")
 
 
@@ -41,6 +43,8 @@ def test_a_cost_on_shared_samples_is_that_of_its_own(change):
         ({"scenarios": (Scenario(Trajectory.straight(12.0)),)}, "scenarios"),
         ({"frames": 2}, "frames"),
         ({"direction": "unknown"}, "direction"),
+        ({"chips": 9}, "chips"),
+        ({"response": SLOW}, "response"),
     ],
 )
 def test_samples_of_another_problem_are_refused(changed, named):

@@ -60,6 +60,7 @@ def test_drawn_codes_keep_every_limit(seed, chips, data):
             "min_open: runs of 5 open chips conflict with at most 4 open chips",
         ),
         ({"open_range": (2, 4.5)}, "open_range: must be two whole numbers, "),
+        ({"open_range": 5}, "open_range: must be two whole numbers, "),
         ({"frames": True}, "frames: must be 1, or 2 for a pair"),
         ({"response": SLOW}, "response: needs a motion (scenarios)"),
     ],

@@ -21,6 +21,7 @@ def write_record(folder, name="version", **streams):
     for stream, text in {**RECORD, **streams}.items():
         (case / stream).write_text(text, encoding="utf-8")
     (case / "files.json").write_text("{}", encoding="utf-8")
+    (folder / "seconds.json").write_text("{}", encoding="utf-8")
     return folder
 
 
@@ -105,6 +106,15 @@ def test_a_folder_that_is_no_record_is_refused(tmp_path, capsys, mistyped):
         main(["compare", *map(str, folders)])
     assert exit_status.value.code == 2
     assert "recrod: is no record" in capsys.readouterr().err
+
+
+def test_a_record_that_did_not_come_to_its_end_is_refused(tmp_path):
+    folders = [write_record(tmp_path / name) for name in ("before", "after")]
+    for folder in folders:  # both ended where the inputs could not be made
+        (folder / "seconds.json").unlink()
+    with pytest.raises(SystemExit) as exit_status:
+        main(["compare", *map(str, folders)])
+    assert exit_status.value.code == 2
 
 
 @pytest.mark.parametrize(

@@ -30,13 +30,13 @@ def folder(tmp_path):
     """A folder of a colour and a grey photo, one of them in a subfolder."""
     rng = np.random.default_rng(0)
     (tmp_path / "more").mkdir()
-    for name, shape in {"b.png": (40, 50, 3), "more/a.bmp": (30, 20)}.items():
+    for name, shape in {"b.png": (40, 50, 3), "more/a.tif": (30, 20)}.items():
         cv2.imwrite(str(tmp_path / name), rng.integers(0, 256, shape, dtype=np.uint8))
     return tmp_path
 
 
 def test_a_folder_s_photos_are_linear_light_red_first(folder):
-    assert [name for name, _ in photos(folder)] == ["b.png", "a.bmp"]
+    assert [name for name, _ in photos(folder)] == ["b.png", "a.tif"]
     blue_first = cv2.imread(str(folder / "b.png"))
     np.testing.assert_array_equal(photos(folder)[0][1], to_linear(blue_first[..., ::-1] / 255))
 
@@ -44,7 +44,7 @@ def test_a_folder_s_photos_are_linear_light_red_first(folder):
 @pytest.mark.parametrize("content", [b"", b"no photo"])
 def test_a_photo_that_cannot_be_read_is_refused(folder, content):
     (folder / "more" / "broken.jpg").write_bytes(content)
-    with pytest.raises(ValueError, match=r"broken\.jpg: cannot be read"):
+    with pytest.raises(ValueError, match=r"broken\.jpg: "):
         photos(folder)
 
 

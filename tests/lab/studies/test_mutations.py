@@ -168,10 +168,18 @@ def test_what_its_mirror_misses_is_judged_by_the_whole_suite(root):
     assert list(verdicts) == [(minus, ""), (more, "elsewhere")]
 
 
-def test_tests_that_cannot_begin_without_a_mutation_notice_none(root):
+@pytest.mark.parametrize("failed", ["interrupted", "tests/cep/room/test_sums.py"])
+def test_tests_that_cannot_begin_without_a_mutation_notice_none(root, failed):
     plus = mutation_of(root, "+")
-    runs = MadeUpRuns(root, {("", True): ["interrupted"], ("+", True): ["interrupted"]})
+    runs = MadeUpRuns(root, {("", True): [failed], ("+", True): [failed]})
     assert list(judged(runs, [plus], workers=1)) == [(plus, "")]
+
+
+def test_a_module_of_tests_that_cannot_be_imported_runs_none(root):
+    (root / "tests/cep/room/test_sums.py").write_text("import a_module_that_is_not_there\n")
+    run = Workplace(root).run([], ["tests"], limit_s=60.0)
+    assert run.finished
+    assert not run.imported
 
 
 @pytest.mark.parametrize("end", [KeyboardInterrupt, ["timeout"]])
