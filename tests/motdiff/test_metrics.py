@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from motdiff.metrics import (
+    best_aligned,
     mnc,
     mnc_matrix,
     mnc_subpixel,
@@ -237,6 +238,14 @@ def test_psnr_up_to_shift(shift: tuple[float, float]) -> None:
     assert psnr_up_to_shift(colour, np.stack([image] * 3, axis=-1)) == pytest.approx(
         psnr_up_to_shift(moved, image)
     )
+
+
+def test_a_photo_is_moved_back_by_quarters_of_a_pixel() -> None:
+    # bilinear interpolation of a plane is exact
+    row, column = np.indices((40, 50))
+    plane = 0.2 + 0.01 * row + 0.004 * column
+    moved, reference = best_aligned(plane - 0.01 * 1.25 - 0.004 * 0.5, plane, 2.0, 6)
+    np.testing.assert_allclose(moved, reference, atol=1e-12)
 
 
 def test_psnr_refuses_unequal_or_tiny_photos() -> None:

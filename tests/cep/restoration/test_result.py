@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from cep.restoration.direction import DirectionResult
-from cep.restoration.result import Restoration
+from cep.restoration.result import Restoration, misfit
 
 
 def restoration(peak):
@@ -35,3 +36,19 @@ def test_the_figures_of_the_direction_are_those_of_its_test():
     assert (fields["direction_confidence"], fields["direction_likelihoods"]) == (0.9, (2.0, 1.0))
     untested = restoration(0.9).to_dict()
     assert untested["direction_confidence"] is untested["direction_likelihoods"] is None
+
+
+def test_the_misfit_is_that_of_the_photo_blurred_again_away_from_borders_and_clipped_light():
+    rng = np.random.default_rng(0)
+    sharp = rng.uniform(0.1, 0.5, (24, 30))
+    psf = np.zeros((5, 5))
+    psf[2, 1:4] = 1 / 3
+    photo = ndimage.convolve(sharp, psf, mode="nearest")
+    assert misfit(photo, sharp, psf) == pytest.approx(0, abs=1e-12)
+    wrong = photo + 0.01 * (-1.0) ** np.indices(photo.shape).sum(axis=0)
+    assert misfit(wrong, sharp, psf) == pytest.approx(0.01)
+    wrong[10, 10] = 1.0  # clipped: it counts as little as the border
+    wrong[0] = 0.9
+    assert misfit(wrong, sharp, psf) == pytest.approx(0.01)
+    everywhere = np.ones(photo.shape, dtype=bool)
+    assert np.isnan(misfit(wrong, sharp, psf, clipped=everywhere))
