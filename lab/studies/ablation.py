@@ -1,8 +1,8 @@
 """Ablation of MoTDiff at an equal small budget: the paper's rows (f2, f4, loss, STPD) and, beside
 them, physics maps.
 
-    python -m lab.studies.ablation PHOTOS [--runs FOLDER] [--samples 1600] [--seeds 2]
-    python -m lab.studies.ablation PREPARED PREPARED_VALIDATION --physics [--samples 9600]
+    python -m lab.studies.ablation PHOTOS [--runs FOLDER] [--samples 1600] [--seeds 1]
+    python -m lab.studies.ablation PREPARED PREPARED_VALIDATION --physics [--samples 1600]
 
 The first form trains the paper's network (PVT v2 b0 on the photo alone, 60-px Boracchi-Foi paths).
 The second trains the network for two CPU cores on samples written by ``python -m motdiff

@@ -1,7 +1,7 @@
 """How many chips: what the code of ``cep optimize`` restores with 16 to 104 of them.
 
     python -m lab.studies.chip_count PHOTOS [--count 8] [--motions 3] [--seed 0]
-        [--photons 3000] [--read-noise 25]
+        [--photons N] [--read-noise 10]
 
 PHOTOS is a folder of sharp photographs that chose nothing: the verdict's own are bundled. Straight
 motions and walks of several lengths, in dim and bright light, known exactly or to 0.3 px. Prints

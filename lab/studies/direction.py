@@ -1,6 +1,6 @@
 """How often the two-direction test is right, on simulated coded photos.
 
-    python -m lab.studies.direction [--photos 60] [--jitter 0.3] [--seed 0]
+    python -m lab.studies.direction [--photos 60] [--jitter 0] [--seed 0]
 
 Boracchi-Foi, accelerated and straight motions, 300 x 300 px scenes, Raskar's 52-chip code and
 random half-open codes; Gauss noise of 0.2 to 2 % of full scale (the coded photo has half the

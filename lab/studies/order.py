@@ -2,8 +2,8 @@
 well that is known.
 
     python -m lab.studies.order [--photos FOLDER] [--gyro FILE] [--set open+gray3 open+one one]
-        [--motions walks arcs gyro] [--count 4] [--noise 0 0.005 0.02] [--moved 2] [--results
-        order.jsonl] [--workers 2] [--seed 0]
+        [--motions walks] [--count 4] [--noise 0.005] [--moved 2] [--results FILE]
+        [--workers 1] [--seed 0]
 
 A set names the photos' codes, as `codes_of_set` of lab/bench/coded/calibrations.py does; `one` is
 Raskar's code; `open+next3`, the open shutter and codes that are each chosen after the photos
@@ -16,7 +16,7 @@ a small light in the dark.
 `right`: the rms distance from the truth, at equal times after the best shift, is at most 1 px and
 smaller than that of the path run backwards; `any given`: one of the paths that the estimate gives
 is within 1 px. With `--results` each finished motion is a line of that file; the same command goes
-on from it, while the estimators' sources are the same.
+on from it, while all sources that it runs are the same.
 """
 
 from __future__ import annotations
@@ -56,13 +56,6 @@ if TYPE_CHECKING:
     from motdiff.estimators.base import MotionEstimate
 
 RIGHT_PX = 1.0
-ESTIMATORS = (
-    "cep.calibration.calibrate",
-    "cep.calibration.next_code",
-    "motdiff.estimators.coded.estimator",
-    "motdiff.estimators.coded.trail_estimator",
-)
-"""Modules whose sources a row depends on, with all that they import: a row says their version."""
 CHOSEN = "open+next"  # the codes after the first are those that cep calibrate --next chooses
 LIT = 0.8  # of full scale: a light's trail at its brightest, and what is around it
 DARK = 0.01
@@ -230,7 +223,7 @@ def chosen_figures(case: Case) -> dict[str, Any]:
             break
         estimate = next_estimate
     if not steps:
-        raise ValueError("the open photo shows no motion")
+        return {"refused": "the open photo shows no motion"}
     return steps[-1] | {"steps": steps}
 
 
@@ -474,7 +467,7 @@ def case_line(case: Case, row: dict[str, Any]) -> str:
 def main() -> None:
     options = parsed_options()
     cases = cases_of(options)
-    version = source_version(ESTIMATORS)
+    version = source_version(["lab.studies.order"])  # and all that it imports
     labels = {case: {**asdict(case), "version": version} for case in cases}
     keys = {case: case_key(label) for case, label in labels.items()}
     rows = [(case, options.earlier[key]) for case, key in keys.items() if key in options.earlier]

@@ -44,8 +44,6 @@ from motdiff.metrics import psnr_up_to_shift, timed_distance_px
 from motdiff.types import FloatArray
 
 BORDER_PX = 30
-RESTORATIONS = ("cep.restoration.restore", "cep.restoration.together")
-"""Modules whose sources a row depends on, with all that they import: a row says their version."""
 SIDE_PX = 256
 ROWS = (
     "open",
@@ -154,7 +152,7 @@ def main() -> None:
     } | {"photos": options.photos, "gyro": options.gyro}
     if code_file(options.code) is not None:
         shared["code"] = load_code(options.code).bits  # another code may lie in the file later
-    shared["version"] = source_version(RESTORATIONS)
+    shared["version"] = source_version(["lab.studies.pairs"])  # and all that it imports
     with refusals(parser):
         if options.photos:
             photo_files(Path(options.photos))

@@ -31,7 +31,8 @@ from lab.studies.inputs import (
     finished_cases,
     kept_rows,
     large_scenes,
-    photos,
+    photo_files,
+    read_light,
     refusals,
     study_parser,
 )
@@ -151,7 +152,8 @@ def main() -> None:
     with refusals(parser):
         finished = finished_cases(file)
         trace = read_gyro(options.gyro)
-        scenes = [scene for folder in options.photos for scene in photos(folder)][:: options.every]
+        files = [file for folder in options.photos for file in photo_files(folder)]
+        scenes = ((file.name, read_light(file)) for file in files[:: options.every])
         large = large_scenes(scenes, least_px=_SCENE_PX)
     shared = {
         "photos": list(map(str, options.photos)),

@@ -23,7 +23,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -97,6 +98,19 @@ def main() -> None:
     chromium = next(filter(None, map(shutil.which, BROWSERS)), None)
     if chromium is None:
         parser.error(f"no browser is on the PATH: {', '.join(BROWSERS)}")
+    print(f"{os.cpu_count()} cores; load before {os.getloadavg()[0]:.1f}: the machine is shared")
+    with running_studio() as (netloc, cookie, process):
+        peak = Peak(process)
+        try:
+            in_browser(chromium, netloc, cookie, options.changes, peak)
+            refused(netloc, cookie, options.requests)
+        finally:
+            peak.stop()
+
+
+@contextmanager
+def running_studio() -> Iterator[tuple[str, str, int]]:
+    """Start a studio; its host and port, a cookie of its page, and its process. It is ended."""
     command = [
         sys.executable,
         "-c",
@@ -106,25 +120,20 @@ def main() -> None:
         "--json",
     ]
     server = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
-    assert server.stdout is not None
-    output = ""
-    for line in server.stdout:
-        output += line
-        if output.rstrip().endswith("}"):
-            break
-    else:
-        raise SystemExit(f"error: the studio ended, with exit code {server.wait()}")
-    home = urlsplit(json.loads(output)["address"])
-    cookie = send(home.netloc, "GET", f"/?{home.query}", {}, [])[1]["set-cookie"].split(";")[
-        0
-    ]  # the key works once
-    peak = Peak(server.pid)
-    print(f"{os.cpu_count()} cores; load before {os.getloadavg()[0]:.1f}: the machine is shared")
     try:
-        in_browser(chromium, home.netloc, cookie, options.changes, peak)
-        refused(home.netloc, cookie, options.requests)
+        assert server.stdout is not None
+        output = ""
+        for line in server.stdout:
+            output += line
+            if output.rstrip().endswith("}"):
+                break
+        else:
+            raise SystemExit(f"error: the studio ended, with exit code {server.wait()}")
+        home = urlsplit(json.loads(output)["address"])
+        # the key works once
+        _, headers = send(home.netloc, "GET", f"/?{home.query}", {}, [])
+        yield home.netloc, headers["set-cookie"].split(";")[0], server.pid
     finally:
-        peak.stop()
         server.send_signal(signal.SIGINT)
         print(f"exit code {server.wait(20)}; load after {os.getloadavg()[0]:.1f}")
 

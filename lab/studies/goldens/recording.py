@@ -154,6 +154,8 @@ class Recorder:
         ):
             time.sleep(0.05)
         try:
+            if not (folder / "uno").exists():
+                raise PreparationError("the emulated controller did not start: no port uno")
             yield
         finally:
             if process.poll() is None:
