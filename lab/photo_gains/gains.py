@@ -85,8 +85,8 @@ def measured_gain(verdict: Verdict, trial: PhotoTrial) -> Gain | None:
     if code is None or single is None:
         return None
     low_db, high_db = gain_range_db(code, single) or (np.nan, np.nan)
-    lengths = {centred(length).bits: centred(length) for length in LENGTHS}
-    levels = trial.psnr_db([code.code, single.code, *lengths.values()])
+    singles = [centred(CHIPS, length) for length in LENGTHS]
+    levels = trial.psnr_db([code.code, single.code, *singles])
     means = levels[1:].mean(axis=1)
     best = int(means.argmax())
     gains = levels[0] - levels[1]
@@ -97,12 +97,12 @@ def measured_gain(verdict: Verdict, trial: PhotoTrial) -> Gain | None:
         measured_db=float(gains.mean()),
         over_best_db=float((levels[0] - levels[1 + best]).mean()),
         spread_db=float(gains.std(ddof=1)),
-        best_chips=[single.code, *lengths.values()][best].open_chips,
+        best_chips=[single.code, *singles][best].open_chips,
         stated_chips=single.code.open_chips,
     )
 
 
-def centred(length: int) -> ShutterCode:
-    """Return a single opening of so many chips in the middle of the exposure."""
-    before = (CHIPS - length) // 2
-    return ShutterCode("0" * before + "1" * length + "0" * (CHIPS - length - before))
+def centred(chips: int, length: int) -> ShutterCode:
+    """Return a single opening of so many of the chips, in the middle of the exposure."""
+    before = (chips - length) // 2
+    return ShutterCode("0" * before + "1" * length + "0" * (chips - length - before))

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cep.files.images import read_image
+from lab.jobs.fingerprint import source_version
 from motdiff.crops import pick_crops
 from motdiff.photo_values import luminance, to_linear
 from motdiff.types import FloatArray
@@ -122,6 +123,19 @@ def case_rows(file: Path) -> list[dict[str, Any]]:
 def finished_cases(file: Path | None) -> dict[str, dict[str, Any]]:
     """Figures of the finished :func:`case_rows`, by :func:`case_key`; none without a file."""
     return {case_key(row.pop("case")): row for row in case_rows(file)} if file else {}
+
+
+def study_version(study: str) -> str:
+    """Version of what a study's rows depend on: it, all that it imports, and the shipped weights.
+
+    The files of photos and recordings count by their names alone.
+    """
+    # torch takes seconds, which --help does not need
+    from cep.restoration.denoiser import network as denoiser
+    from motdiff import weights
+
+    files = (weights.DEFAULT_WEIGHTS, weights.CORRECTION_WEIGHTS, denoiser.SHIPPED)
+    return source_version([f"lab.studies.{study}"], files=files)
 
 
 def case_key(case: Mapping[str, object]) -> str:

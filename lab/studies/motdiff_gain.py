@@ -29,7 +29,6 @@ import numpy as np
 import torch
 
 from lab.bench.blind.cases import make_case
-from lab.bench.blind.methods import version_of
 from lab.bench.blind.plan import blind_plan
 from lab.bench.blind.protocol import Protocol
 from lab.bench.statistics import mean_interval
@@ -44,6 +43,7 @@ from lab.studies.inputs import (
     kept_rows,
     refusals,
     study_parser,
+    study_version,
 )
 from motdiff.blind_search.coarse_to_fine import refined
 from motdiff.estimators.base import Estimator, FoundKernels
@@ -444,7 +444,7 @@ def main() -> None:
     if len(options.files) != 1 or (options.prepared is None) == (options.data is None):
         parser.error("rows: give one FILE, and either --prepared or --data")
     (file,) = options.files
-    shared: dict[str, object] = {"version": f"{version_of('motdiff')} {version_of('pmp')}"}
+    shared: dict[str, object] = {"version": study_version("motdiff_gain")}
     with refusals(parser):
         earlier = {case_key(row["case"]): row for row in merged_rows(case_rows(file))}
         if options.prepared is not None:

@@ -35,7 +35,6 @@ import numpy as np
 
 from cep.calibration.next_code import SURE, next_code
 from lab.bench.coded.calibrations import codes_of_set, moved_psfs
-from lab.jobs.fingerprint import source_version
 from lab.studies.inputs import (
     add_row,
     case_key,
@@ -43,9 +42,10 @@ from lab.studies.inputs import (
     photo_files,
     refusals,
     study_parser,
+    study_version,
     textured_scene,
 )
-from lab.studies.motions import MOTIONS, motion_for_codes
+from lab.studies.motions import MOTIONS, known_motion
 from motdiff.files.gyro_tables import read_gyro
 from motdiff.metrics import timed_distance_px
 from motdiff.simulate import photograph
@@ -112,8 +112,7 @@ def photos_of(case: Case) -> tuple[Trajectory, list[FloatArray]]:
     """Path, and the photos of it."""
     # what does not depend on the codes and the noise is drawn first: all sets are compared on the
     # same
-    rng = np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index])
-    path = motion_for_codes(case.motions, case.gyro, rng)
+    path, rng = known_motion(case.motions, case.index, seed=case.seed, gyro=case.gyro)
     scene = textured_scene(case.photos, side_px=case.side_px, rng=rng)
     own_scenes = [
         np.random.default_rng([case.seed, MOTIONS.index(case.motions), case.index, photo])
@@ -467,7 +466,7 @@ def case_line(case: Case, row: dict[str, Any]) -> str:
 def main() -> None:
     options = parsed_options()
     cases = cases_of(options)
-    version = source_version(["lab.studies.order"])  # and all that it imports
+    version = study_version("order")
     labels = {case: {**asdict(case), "version": version} for case in cases}
     keys = {case: case_key(label) for case, label in labels.items()}
     rows = [(case, options.earlier[key]) for case, key in keys.items() if key in options.earlier]

@@ -29,7 +29,7 @@ from cep.optics.code import ShutterCode
 from cep.restoration.restore import restore
 from cep.restoration.together import restore_together
 from lab.bench.statistics import mean_interval
-from lab.jobs.fingerprint import source_version
+from lab.photo_gains.gains import centred
 from lab.studies.inputs import (
     add_row,
     case_key,
@@ -37,6 +37,7 @@ from lab.studies.inputs import (
     photo_files,
     refusals,
     study_parser,
+    study_version,
     textured_scene,
 )
 from lab.studies.motions import MOTIONS, known_motion
@@ -56,12 +57,6 @@ ROWS = (
     "pair, true path",
 )
 KINDS = {"gyro": "shakes", "walks": "walks", "arcs": "arcs"}
-
-
-def snapshot(chips: int, share: float) -> ShutterCode:
-    count = round(share * chips)
-    before = (chips - count) // 2
-    return ShutterCode("0" * before + "1" * count + "0" * (chips - before - count))
 
 
 def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, Any]:
@@ -90,7 +85,7 @@ def figures(motions: str, index: int, options: argparse.Namespace) -> dict[str, 
     row["open, true path"] = psnr_db(
         restore(open_photo, trajectory=path, method="pnp", camera=camera).image
     )
-    shots = [snapshot(code.chips, share) for share in (1 / 4, 1 / 8)]
+    shots = [centred(code.chips, round(code.chips / count)) for count in (4, 8)]
     row["snapshot"] = max(psnr_db(restore(photo(shot), code=shot).image) for shot in shots)
     row["coded"] = psnr_db(restore(photo(code), code=code).image)
     codes = [code, code.complement()]
@@ -152,7 +147,7 @@ def main() -> None:
     } | {"photos": options.photos, "gyro": options.gyro}
     if code_file(options.code) is not None:
         shared["code"] = load_code(options.code).bits  # another code may lie in the file later
-    shared["version"] = source_version(["lab.studies.pairs"])  # and all that it imports
+    shared["version"] = study_version("pairs")
     with refusals(parser):
         if options.photos:
             photo_files(Path(options.photos))

@@ -22,7 +22,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from lab.bench.blind.methods import version_of
 from lab.studies.inputs import (
     add_row,
     case_key,
@@ -31,6 +30,7 @@ from lab.studies.inputs import (
     photos,
     refusals,
     study_parser,
+    study_version,
 )
 from lab.studies.motions import KINDS, motion_in_photo
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
@@ -178,7 +178,7 @@ def main() -> None:
         "photos": list(map(str, options.photos)),
         "gyro": str(options.gyro),
         "seed": options.seed,
-        "version": version_of("motdiff"),
+        "version": study_version("photo_faults"),
     }
     estimator = MotDiffEstimator()
     rows = []

@@ -23,7 +23,6 @@ from typing import Any
 
 import numpy as np
 
-from lab.bench.blind.methods import version_of
 from lab.studies.inputs import (
     add_row,
     case_key,
@@ -35,6 +34,7 @@ from lab.studies.inputs import (
     read_light,
     refusals,
     study_parser,
+    study_version,
 )
 from lab.studies.motions import KINDS, motion_in_photo
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
@@ -160,7 +160,7 @@ def main() -> None:
         "gyro": str(options.gyro),
         "every": options.every,
         "seed": options.seed,
-        "version": version_of("motdiff"),
+        "version": study_version("photo_path"),
     }
     estimator = MotDiffEstimator()
     with one_thread():

@@ -19,7 +19,7 @@ export const DEFAULTS = {
   search: null,
 };
 const VIEWS = ["view", "left", "right"]; // of the photos
-const LIMITS = ["min_open", "min_closed"];
+export const LIMITS = ["min_open", "min_closed"];
 const NUMBERS = ["path_error", "photons", "read_noise", ...LIMITS];
 const MOST_CHIPS = 512, MOST_SAMPLES = 512;
 export const SIDES = { open: "open shutter", snapshot: "best single exposure", code: "this code" };

@@ -6,7 +6,7 @@ import { busyPhoto, drawEstimate, drawSharpened, hidePhoto, saveSharpened, showP
 import { drawCurves, drawGains, drawMap, drawPath, drawPlayed } from "./plots.js";
 import { Refused, ask, calm, complain, post, upload } from "./server.js";
 import { busyShot, showShot, wireShot } from "./shot.js";
-import { DEFAULTS, SIDES, fromAddress, isAlong, isCode, pathOf, remember, remembered, settingOf, toAddress } from "./state.js";
+import { DEFAULTS, LIMITS, SIDES, fromAddress, isAlong, isCode, pathOf, remember, remembered, settingOf, toAddress } from "./state.js";
 import { Strip } from "./strip.js";
 import { digits, drawRows, noise } from "./table.js";
 
@@ -268,7 +268,7 @@ function fill() {
   say("device-about", known?.devices.find((one) => one.name === state.device)?.about ?? "");
   put("open-low", state.open?.[0] ?? "");
   put("open-high", state.open?.[1] ?? "");
-  for (const name of ["min_open", "min_closed"]) put(name, state[name] ?? "");
+  for (const name of LIMITS) put(name, state[name] ?? "");
   const { motion } = state;
   $("motion-kind").querySelector('[value="path"]').disabled = motion.kind !== "path" && !estimate;
   put("motion-kind", motion.kind === "example" ? `example:${motion.name}` : motion.kind);
@@ -589,7 +589,7 @@ function wire() {
     const low = number("open-low"), high = number("open-high");
     change({ open: low === null && high === null ? null : [low ?? 1, high ?? state.bits.length] });
   });
-  for (const name of ["min_open", "min_closed"]) on(name, "input", () => change({ [name]: number(name) }));
+  for (const name of LIMITS) on(name, "input", () => change({ [name]: number(name) }));
   for (const radio of document.getElementsByName("view")) radio.addEventListener("change", () => change({ view: radio.value }));
   for (const side of ["left", "right"]) {
     $(`side-${side}`).replaceChildren(...Object.entries(SIDES).map(([name, text]) => new Option(text, name)));

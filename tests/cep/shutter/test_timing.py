@@ -40,10 +40,10 @@ def test_times_of_a_camera_are_within_tolerance_and_40_frames(seed):
     assert timing.row.value == pytest.approx(camera.row_s, rel=0.01, abs=5e-9)
 
 
-@pytest.mark.slow(reason="ten cameras of 40 frames")
-def test_intervals_cover_in_9_of_10():
+@pytest.mark.slow(reason="twenty cameras of 40 frames")
+def test_intervals_cover_in_18_of_20():
     covered = np.zeros(4, dtype=int)
-    for seed in range(10):
+    for seed in range(20):
         camera, stated_s = random_camera(seed)
         timing = timed(camera, stated_s)
         pairs = (
@@ -55,7 +55,7 @@ def test_intervals_cover_in_9_of_10():
         covered += [truth in interval for truth, interval in pairs]
         assert timing.start.value == pytest.approx(camera.start_s, abs=TOLERANCE_S)
         assert timing.length.value == pytest.approx(camera.length_s, abs=TOLERANCE_S)
-    assert covered.min() >= 9
+    assert covered.min() >= 18
 
 
 def test_rows_that_are_read_upwards_have_a_negative_row_time():

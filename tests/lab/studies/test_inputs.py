@@ -16,6 +16,7 @@ from lab.studies.inputs import (
     photos,
     refusals,
     study_parser,
+    study_version,
     textured_scene,
 )
 from motdiff.photo_values import to_linear
@@ -130,3 +131,11 @@ def test_a_refusal_is_one_line_and_exit_code_2(capsys, error):
         raise error("photos: there are none")
     assert exit_status.value.code == 2
     assert capsys.readouterr().err.splitlines()[-1].endswith("error: photos: there are none")
+
+
+def test_other_weights_are_another_version(tmp_path, monkeypatch):
+    shipped = study_version("pairs")
+    assert shipped == study_version("pairs") != study_version("order")
+    (tmp_path / "weights").write_bytes(b"trained anew")
+    monkeypatch.setattr("motdiff.weights.CORRECTION_WEIGHTS", tmp_path / "weights")
+    assert study_version("pairs") != shipped

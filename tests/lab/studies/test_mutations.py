@@ -130,7 +130,7 @@ def test_a_mutation_gets_a_multiple_of_the_time_without_it():
 
 
 class MadeUpRuns(Workplace):
-    """Runs whose outcome is told: by the operators put in, and whether all tests were run."""
+    """Tests that fail as given, by the operators exchanged and whether all tests are run."""
 
     def __init__(self, root, outcomes):
         super().__init__(root)

@@ -32,7 +32,7 @@ def run(tmp_path, monkeypatch):
     def run_study(study, *options, version="a", photos="photos"):
         monkeypatch.setattr(photo_faults, "_MOMENTS", 5)  # for speed
         monkeypatch.setattr(study, "MotDiffEstimator", object)
-        monkeypatch.setattr(study, "version_of", lambda _method: version)
+        monkeypatch.setattr(study, "study_version", lambda _study: version)
         monkeypatch.setattr(study, "figures", FIGURES[study])
         words = ["rows"] if study is photo_path else []
         words += [str(file), "--photos", str(tmp_path / photos), "--count", "1", *options]
