@@ -1,140 +1,161 @@
-"""Paths that the network draws, followed as they are drawn or traced anew from the kernels that
-they become.
+"""Paths drawn for the kernels of blurred photos: one draw, the best of eight, and the likeliest.
 
-    python -m lab.studies.drawn_path [--photos FOLDER] [--count 16] [--seed 0]
+    python -m lab.studies.drawn_path rows FILE --photos DIR... --gyro RECORDING
+        [--every N] [--count 12] [--seed 0] [--draws 8] [--weights FILE]
+    python -m lab.studies.drawn_path table FILE...
 
-For simulated photos with real borders and 1 % noise: the network's one-step map and dwell, told of
-the quick classical searches. "kernel": the drawn PSF is traced. "map": the map is traced and given
-the drawn PSF's dwell. "refined kernel" and "refined map": the same with the PSF refined on the
-photo, which is what ``cep calibrate`` does with the kernel. Figures: MNC of the trajectory's PSF;
-the path's distance from the true one in order, px, the better way round; and how much worse a code
-of 32 chips searched along the trajectory is than one searched along the true one, both for either
-direction, dB of the expected error along the true one.
+The photos are those of ``lab.studies.photo_path``. Paths are drawn for the kernel that ``cep
+calibrate`` chooses, whether a simple motion explains it or not. Figures: sub-pixel MNC of the
+kernel, of the PSFs of one draw, of the best of all and of the likeliest order; and whether one,
+any, and the likeliest are right: within 1 px rms at equal times, in the better direction. One
+thread; an interrupted run goes on where it stopped.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import torch
 
-from cep.optics.code import ShutterCode
-from cep.search.code_search import SearchOptions, search_code
-from cep.search.problem import SearchProblem
-from lab.bench.blind.protocol import synthetic_trace
-from lab.evaluation.map_tracing import trace_map
-from lab.evaluation.metrics import ordered_distance_px
-from lab.studies.inputs import large_scenes, photos, refusals, study_parser
-from motdiff.blind_search.coarse_to_fine import refined
-from motdiff.estimators.kernel_score import Judge
-from motdiff.estimators.motdiff.drawing import quick_search
-from motdiff.metrics import mnc_subpixel
-from motdiff.motions import boracchi_foi, random_gyro_motion
-from motdiff.network.denoiser import MotDiffNetwork
-from motdiff.network.diffusion import cosine_schedule
-from motdiff.network.physics_maps import physics_maps
-from motdiff.network.sampling import sample_paths
-from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame, without_faint_light, without_faint_parts
-from motdiff.simulate import photograph
-from motdiff.tracing.dwell import fit_dwell
-from motdiff.tracing.quadratic import simplest_trajectory
+from lab.bench.statistics import mean_interval
+from lab.studies.inputs import (
+    add_row,
+    case_key,
+    check_version,
+    finished_cases,
+    kept_rows,
+    large_scenes,
+    photo_files,
+    read_light,
+    refusals,
+    study_parser,
+    study_version,
+)
+from lab.studies.motions import KINDS
+from lab.studies.photo_path import SCENE_PX, Shot, shots
+from motdiff.estimators.motdiff.estimator import MotDiffEstimator
+from motdiff.files.gyro_tables import read_gyro
+from motdiff.metrics import mnc_subpixel, timed_distance_px
+from motdiff.network.path_denoiser import PathDenoiser
+from motdiff.network.path_drawing import draw_paths
+from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
-from motdiff.weights import load_network
+from motdiff.types import FloatArray
+from motdiff.weights import PATH_WEIGHTS, load_path_denoiser
 
-SIDE_PX = 256 + PSF_PX - 1
-WAYS = ("kernel", "map", "refined kernel", "refined map")
-
-
-def motions(rng: np.random.Generator) -> dict[str, Trajectory]:
-    trace = synthetic_trace(rng, duration_s=30.0, rate_hz=200.0)
-    return {
-        "walk of 60 px": boracchi_foi(rng),
-        "walk of 20 px": boracchi_foi(rng, max_length_px=20.0),
-        "shake": random_gyro_motion(
-            trace, rng, exposure_s=float(rng.uniform(0.05, 0.3)), extent_px=20.0
-        ),
-    }
+_RIGHT_PX = 1.0
 
 
-def trajectories(network: MotDiffNetwork, photo: np.ndarray, seed: int) -> dict[str, Trajectory]:
-    crops = photo[None]
-    sigma = Judge(crops).sigma
-    light = torch.from_numpy(crops.astype(np.float32))[None]
-    searched = quick_search(crops, sigma=sigma)
-    with torch.no_grad():
-        maps = physics_maps(light, torch.from_numpy(searched.astype(np.float32))[None])
-        samples = sample_paths(
-            network,
-            network.condition(None, maps),
-            count=1,
-            schedule=cosine_schedule(),
-            steps=1,
-            generator=torch.Generator().manual_seed(seed),
+def figures(
+    shot: Shot, estimator: MotDiffEstimator, denoiser: PathDenoiser, *, draws: int
+) -> dict[str, object]:
+    """Draw paths for one photo's kernel, and compare them with the truth."""
+    kernel = estimator.estimate(shot.light).psf
+    truth = shot.motion.psf(shot.motion.frame_size(64))
+    samples = draw_paths(denoiser, kernel, count=draws, rng=np.random.default_rng(0))
+
+    def mnc(path: Trajectory) -> float:
+        return mnc_subpixel(path.psf(path.frame_size(64)), truth)
+
+    def timed_px(path: Trajectory) -> float:
+        return min(
+            timed_distance_px(directed, shot.motion) for directed in (path, path.reversed())
         )
-    psf = samples.psfs()[0, 0].double().numpy()
-    odd = without_faint_light(in_frame(psf[None], ODD_PX), below=0.02)[0]
-    sharpened = refined(crops, odd / odd.sum(), sigma)
-    chances = samples.path[0, 0].numpy()
-    # a lost guess is sure of no pixel
-    path = trace_map(chances > min(0.5, 0.5 * float(chances.max())))
+
+    paths = [samples.path(number) for number in range(draws)]
+    likeliest, chance = samples.orders()[0]
     return {
-        "kernel": simplest_trajectory(without_faint_parts(psf)),
-        "map": fit_dwell(path, psf),
-        "refined kernel": simplest_trajectory(without_faint_parts(sharpened)),
-        "refined map": fit_dwell(path, sharpened),
+        "name": shot.name,
+        "kind": shot.kind,
+        "kernel": mnc_subpixel(kernel, truth),
+        "draws": [mnc(path) for path in paths],
+        "likeliest": mnc(likeliest),
+        "draws_px": [timed_px(path) for path in paths],
+        "likeliest_px": timed_px(likeliest),
+        "chance": chance,
     }
 
 
-def searched(path: Trajectory, seed: int) -> ShutterCode:
-    problem = SearchProblem.along(
-        path, chips=32, open_range=(10, 22), objective="mse", direction="unknown"
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Lines of the table, a row for each kind of motion and one for all; intervals of 95 %."""
+    yield (
+        "| motions | photos | kernel | one draw | best of all | best less kernel | likeliest |"
+        " likeliest less kernel | right: one | any | likeliest | its chance |"
     )
-    return search_code(problem, SearchOptions(steps=20_000, seed=seed)).code
+    yield "|---|" + "---:|" * 11
+    for kind in (*KINDS, "all"):
+        group = [row for row in rows if kind in (row["kind"], "all")]
+        if not group:
+            continue
+        kernel, likeliest, likeliest_px, chance = (
+            np.array([row[key] for row in group])
+            for key in ("kernel", "likeliest", "likeliest_px", "chance")
+        )
+        draws, draws_px = (np.array([row[key] for row in group]) for key in ("draws", "draws_px"))
+        right = draws_px < _RIGHT_PX
+        best = draws.max(axis=1)
+        yield (
+            f"| {kind} | {len(group)} | {kernel.mean():.3f} | {draws[:, 0].mean():.3f}"
+            f" | {best.mean():.3f} | {_interval(best - kernel)} | {likeliest.mean():.3f}"
+            f" | {_interval(likeliest - kernel)} | {right[:, 0].mean():.2f}"
+            f" | {right.any(axis=1).mean():.2f} | {(likeliest_px < _RIGHT_PX).mean():.2f}"
+            f" | {chance.mean():.2f} |"
+        )
 
 
-def error_db(path: Trajectory, code: ShutterCode) -> float:
-    problem = SearchProblem.along(path, chips=32, objective="mse", direction="unknown")
-    return problem.measure(code, budget=0).mse_db
+def _interval(differences: FloatArray) -> str:
+    interval = mean_interval(differences, rng=np.random.default_rng(0))
+    return f"{interval.mean:+.3f} [{interval.low:+.3f}, {interval.high:+.3f}]"
 
 
 def main() -> None:
     parser = study_parser(__doc__)
-    parser.add_argument("--photos", type=Path)
-    parser.add_argument("--count", type=int, default=16)
+    parser.add_argument("what", choices=["rows", "table"])
+    parser.add_argument("files", type=Path, nargs="+")
+    parser.add_argument("--photos", type=Path, nargs="+")
+    parser.add_argument("--gyro", type=Path)
+    parser.add_argument("--every", type=int, default=1)
+    parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--draws", type=int, default=8)
+    parser.add_argument("--weights", type=Path, default=PATH_WEIGHTS)
     options = parser.parse_args()
+    if options.what == "table":
+        with refusals(parser):
+            rows = [row for file in options.files for row in kept_rows(file)]
+            check_version(rows)
+        print("\n".join(table(rows)))
+        return
+    if len(options.files) != 1 or options.photos is None or options.gyro is None:
+        parser.error("rows: give one FILE, --photos and --gyro")
+    if options.draws < 1:
+        parser.error(f"--draws: must be at least 1, got {options.draws}")
+    (file,) = options.files
     with refusals(parser):
-        scenes = [light for _, light in large_scenes(photos(options.photos), least_px=SIDE_PX)]
-    network = load_network()
-    scores: dict[str, dict[str, list[tuple[float, float, float]]]] = {}
-    for number in range(options.count):
-        rng = np.random.default_rng([options.seed, number])
-        scene = scenes[number % len(scenes)]
-        scene = scene.mean(axis=2) if scene.ndim == 3 else scene
-        top, column = (int(rng.integers(side - SIDE_PX + 1)) for side in scene.shape)
-        scene = scene[top : top + SIDE_PX, column : column + SIDE_PX]
-        for kind, truth in motions(rng).items():
-            photo = photograph(scene, truth.psf(), rng=rng)
-            least_db = error_db(truth, searched(truth, number))
-            for variant, path in trajectories(network, photo, number).items():
-                psf = in_frame(path.psf(max(PSF_PX, path.frame_size())), PSF_PX)
-                figures = (
-                    mnc_subpixel(psf, truth.psf()),
-                    ordered_distance_px(path.xy, truth.xy),
-                    error_db(truth, searched(path, number)) - least_db,
-                )
-                scores.setdefault(kind, {}).setdefault(variant, []).append(figures)
-    print("| motions | way | photos | MNC | in order, px | code worse by, dB |")
-    print("|---|---|---|---|---|---|")
-    for kind, by_way in scores.items():
-        for variant in WAYS:
-            table = np.array(by_way[variant])
-            error = table.std(axis=0) / len(table) ** 0.5
-            cells = " | ".join(
-                f"{m:.3f} ({e:.3f})" for m, e in zip(table.mean(axis=0), error, strict=True)
-            )
-            print(f"| {kind} | {variant} | {len(table)} | {cells} |")
+        finished = finished_cases(file)
+        trace = read_gyro(options.gyro)
+        denoiser = load_path_denoiser(options.weights)
+        files = [file for folder in options.photos for file in photo_files(folder)]
+        scenes = ((file.name, read_light(file)) for file in files[:: options.every])
+        large = large_scenes(scenes, least_px=SCENE_PX)
+    shared = {
+        "photos": list(map(str, options.photos)),
+        "gyro": str(options.gyro),
+        "every": options.every,
+        "seed": options.seed,
+        "draws": options.draws,
+        "weights": str(options.weights),
+        "version": study_version("drawn_path"),
+    }
+    estimator = MotDiffEstimator()
+    with one_thread():
+        for shot in shots(large, trace, count=options.count, seed=options.seed):
+            case = {"name": shot.name, **shared}
+            if case_key(case) not in finished:
+                row = figures(shot, estimator, denoiser, draws=options.draws)
+                add_row(file, {"case": case, **row})
 
 
 if __name__ == "__main__":

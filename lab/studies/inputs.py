@@ -134,7 +134,8 @@ def study_version(study: str) -> str:
     from cep.restoration.denoiser import network as denoiser
     from motdiff import weights
 
-    files = (weights.DEFAULT_WEIGHTS, weights.CORRECTION_WEIGHTS, denoiser.SHIPPED)
+    shipped = (weights.DEFAULT_WEIGHTS, weights.CORRECTION_WEIGHTS, weights.PATH_WEIGHTS)
+    files = (*shipped, denoiser.SHIPPED)
     return source_version([f"lab.studies.{study}"], files=files)
 
 

@@ -136,8 +136,7 @@ def figures(photo: FaultyPhoto, estimator: MotDiffEstimator) -> dict[str, object
         "confidence": estimate.confidence,
         "psf_confidence": estimate.details["psf_confidence"],
         "clipped": float(clipped_mask(photo.light).mean()),
-        "agreement_scale": estimate.details.get("agreement_scale"),
-        "drawn": estimate.details["samples"],
+        "chosen": estimate.details["chosen"],
         "wall_s": time.perf_counter() - began_s,
     }
 

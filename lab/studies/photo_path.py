@@ -48,7 +48,8 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 _PHOTO_PX = 256
-_SCENE_PX = 340  # least side: photo and motion
+SCENE_PX = 340
+"""Least side of a scene, for photo and motion."""
 _NOISE = 0.005
 _SURE = 0.5  # a stated path confidence of more: the path's figures are those of such photos, too
 
@@ -154,7 +155,7 @@ def main() -> None:
         trace = read_gyro(options.gyro)
         files = [file for folder in options.photos for file in photo_files(folder)]
         scenes = ((file.name, read_light(file)) for file in files[:: options.every])
-        large = large_scenes(scenes, least_px=_SCENE_PX)
+        large = large_scenes(scenes, least_px=SCENE_PX)
     shared = {
         "photos": list(map(str, options.photos)),
         "gyro": str(options.gyro),

@@ -49,6 +49,8 @@ class BlindEstimator(ABC):
     ----------
     crops : int
         Most crops used of a photo larger than one crop.
+    seed : int
+        Of the paths that are drawn for the kernel.
     progress : callable, optional
         Called with the finished share 0..1.
 
@@ -66,10 +68,17 @@ class BlindEstimator(ABC):
     plain_mnc = 0.86
     """Likeness with the kernel from which on a quadratic path is taken for it."""
 
-    def __init__(self, *, crops: int = 3, progress: Callable[[float], None] | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        crops: int = 3,
+        seed: int = 0,
+        progress: Callable[[float], None] | None = None,
+    ) -> None:
         if crops < 1:
             raise ValueError(f"crops: must be at least 1, got {crops}")
         self._crops = crops
+        self._seed = seed
         self._tell = progress
 
     @abstractmethod
@@ -174,6 +183,7 @@ class BlindEstimator(ABC):
             plain_mnc=self.plain_mnc,
             uneven=uneven,
             details={"crops": len(best.crops), **_repeatability(best)},
+            rng=np.random.default_rng(self._seed),
         )
         return doubted(
             estimate,

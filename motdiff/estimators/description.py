@@ -16,38 +16,28 @@ from numpy.typing import ArrayLike
 from motdiff.estimators.base import LOST, FoundKernels, MotionEstimate
 from motdiff.metrics import mnc_subpixel
 from motdiff.psf_frame import PSF_PX, centred, in_frame, without_faint_light, without_faint_parts
-from motdiff.tracing.path import is_tangled, trace_psf_to_trajectory
 from motdiff.tracing.quadratic import plain_trajectory, simplest_trajectory
-from motdiff.tracing.smooth import smooth_path
 from motdiff.trajectory import Trajectory
-from motdiff.types import FloatArray
 
 # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
 _SAME_MOTION_MNC = 0.8
 _MOST_MOTIONS = 3  # the best, and alternatives
-# kernels of 44 simulated photos: of four with such paths, one was good; of seven of 120 to 200 px,
-# six
-_WEB_PX = 200.0
-_WEB_TURNS = 4.0
-_WEB_CONFIDENCE = 0.2
-# of paths whose kernel is good, the share that is right to within 1 px, in length and order: of
-# plain arcs and bends, and of smooth paths by the margin to the next order
-# (docs/decisions/tracing.md)
+# of plain paths whose kernel is good, the share that is right to within 1 px, in length and order;
+# of drawn ones it is the probability of their order (docs/decisions/tracing.md)
 _PLAIN_RIGHT = 0.9
 _BENT_TURNS = 1.3
 _BENT_RIGHT = 0.3
-_CLEAR_MARGIN = 30.0
-_UNCLEAR_RIGHT = 0.1
+_DRAWS = 8
+_CLEAR_ORDER = 0.5  # below, the order is said to be uncertain
 _FAINT = 0.01  # share of the peak: output of a generator off the path
 
 
 @dataclass(frozen=True)
-class _KernelPath:
-    """Path of a kernel, the trace of its lines, and the share of such paths that is right."""
+class _KernelPaths:
+    """Paths of a kernel, orders in time, with their chances, and that of the first to be right."""
 
-    path: Trajectory
-    trace: Trajectory
-    share: float
+    orders: tuple[tuple[Trajectory, float], ...]
+    right: float
 
 
 def described(
@@ -58,6 +48,7 @@ def described(
     plain_mnc: float,
     uneven: str | None,
     details: Mapping[str, object],
+    rng: np.random.Generator,
 ) -> MotionEstimate:
     """Describe the motion that kernels show.
 
@@ -73,6 +64,8 @@ def described(
         Warning that the blur differs across the photo.
     details : mapping
         Other figures for the report.
+    rng : Generator
+        Of the paths drawn for a kernel.
     """
     kernels = candidates.kernels
     chosen = [candidates.best]  # then those that show other motions, likeliest first
@@ -81,16 +74,18 @@ def described(
             mnc_subpixel(kernels[i], kernels[j]) < _SAME_MOTION_MNC for j in chosen
         ):
             chosen.append(int(i))
-    best = _path_of(candidates, plain_mnc)
-    # a kernel's noise would lengthen its path
-    alternatives = [simplest_trajectory(without_faint_parts(kernels[i])) for i in chosen[1:]]
-    trajectories = [best.path, *alternatives]
-    trace = best.trace
-    tangled = is_tangled(trace)  # strands as searched
-    if factor > 1:
-        trajectories = [trajectory.scaled(factor) for trajectory in trajectories]
-        trace = trace.scaled(factor)
-    weights = candidates.probabilities[chosen] / candidates.probabilities[chosen].sum()
+    best = _paths_of(candidates, plain_mnc, rng)
+    motions = [(path, candidates.confidence * chance) for path, chance in best.orders]
+    motions += [
+        # a kernel's noise would lengthen its path
+        (simplest_trajectory(without_faint_parts(kernels[i])), float(candidates.probabilities[i]))
+        for i in chosen[1:]
+    ]
+    likeliest = sorted(motions[1:], key=lambda motion: -motion[1])[: _MOST_MOTIONS - 1]
+    motions = [motions[0], *likeliest]
+    trajectories = [path.scaled(factor) if factor > 1 else path for path, _ in motions]
+    weights = np.array([weight for _, weight in motions])
+    weights = weights / weights.sum()
     psf = path_psf = trajectories[0].psf(trajectories[0].frame_size(PSF_PX))
     if factor == 1:
         kernel = candidates.best_kernel
@@ -99,20 +94,11 @@ def described(
     of_the_kernel = [*candidates.warnings, *filter(None, [uneven])]
     of_the_path = []
     confidence = candidates.confidence
-    length_px = trace.length_px
-    extent_px = trace.extent_px
-    # the limit is in pixels of what was searched
-    if length_px > max(_WEB_PX * factor, _WEB_TURNS * extent_px):
-        confidence = min(confidence, _WEB_CONFIDENCE)
+    if confidence >= LOST and best.right < _CLEAR_ORDER:
         of_the_path.append(
-            f"the path traced is {length_px:.0f} px long within {extent_px:.0f} px: more a web of"
-            " noise than a motion"
-        )
-    elif confidence >= LOST and tangled:
-        of_the_path.append(
-            f"the path traced is tangled ({length_px:.0f} px within {extent_px:.0f} px), and a"
-            " blur kernel does not tell the order of crossing strands: a code searched along it"
-            " may be no better than a published one; the method gyro tells the order"
+            "a blur kernel does not tell the order in time along this path: a code searched along"
+            " it may be no better than a published one; the method gyro tells the order, and so"
+            " do photos through known codes"
         )
     if confidence < LOST:
         of_the_path.append(
@@ -141,37 +127,29 @@ def described(
             **figures,
             "trajectory_psf_mnc": mnc_subpixel(psf, path_psf),
             "psf_confidence": candidates.confidence,
-            "path_confidence": confidence * best.share,
+            "path_confidence": confidence * best.right,
         },
         psf_warnings=(*of_the_kernel, *of_the_scale),
     )
 
 
-def _path_of(candidates: FoundKernels, plain_mnc: float) -> _KernelPath:
-    """Path of the best kernel: its own simple motion, a plain path, or a smooth one."""
+def _paths_of(
+    candidates: FoundKernels, plain_mnc: float, rng: np.random.Generator
+) -> _KernelPaths:
+    """Paths of the best kernel: its own simple motion, a plain path, or drawn ones."""
     if candidates.path is not None:
-        return _KernelPath(candidates.path, candidates.path, _PLAIN_RIGHT)
+        return _KernelPaths(((candidates.path, 1.0),), _PLAIN_RIGHT)
     kernel = candidates.best_kernel
-    bright = without_faint_parts(kernel)
-    plain = plain_trajectory(bright, least_mnc=plain_mnc)
+    plain = plain_trajectory(without_faint_parts(kernel), least_mnc=plain_mnc)
     if plain is not None:
-        return _plain(plain)
-    return _smoothed(kernel, trace_psf_to_trajectory(bright))
+        bent = plain.length_px > _BENT_TURNS * plain.extent_px
+        return _KernelPaths(((plain, 1.0),), _BENT_RIGHT if bent else _PLAIN_RIGHT)
+    # these load torch, which takes a second
+    from motdiff.network.path_drawing import draw_paths
+    from motdiff.weights import load_path_denoiser
 
-
-def _plain(path: Trajectory) -> _KernelPath:
-    share = _PLAIN_RIGHT
-    if path.length_px > _BENT_TURNS * path.extent_px:
-        share = _BENT_RIGHT
-    return _KernelPath(path, path, share)
-
-
-def _smoothed(kernel: FloatArray, trace: Trajectory) -> _KernelPath:
-    smooth = smooth_path(kernel, [trace])
-    share = _UNCLEAR_RIGHT
-    if smooth.margin >= _CLEAR_MARGIN and not is_tangled(trace):
-        share = _BENT_RIGHT
-    return _KernelPath(smooth.trajectory, trace, share)
+    orders = draw_paths(load_path_denoiser(), kernel, count=_DRAWS, rng=rng).orders()
+    return _KernelPaths(orders, orders[0][1])
 
 
 # -- estimates without a judgement -------------------------------------------------------------

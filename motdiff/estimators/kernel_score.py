@@ -28,15 +28,12 @@ _BAND_CY_PX = (0.02, 0.4)  # below, the scene dominates; above, noise
 _SPARSE_NORM = 0.8
 _CLEARLY = 0.02  # docs/decisions/motion-estimation.md
 # One score for all kernels. Its weights choose the kernel with the highest MNC on average, fitted
-# on simulated motions over training photos (120 photos, 8 or 9 starts each); a fit to drawn
-# kernels is no better, docs/decisions/network.md.
+# on simulated motions over training photos (120 photos, 8 or 9 starts each).
 _EVIDENCE_WEIGHTS = np.array([0.8, 2.0, -1.0])
 _AGREEMENT_WEIGHT = 0.4
 # Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or
-# more: fitted apart for classical searches alone and for these together with draws, whose
-# agreement is another mean.
+# more.
 _SEARCHED = (8.3, -5.15)
-_DRAWN = (12.5, -8.5)
 
 
 @dataclass(frozen=True)
@@ -248,33 +245,6 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
     )
     best = int(np.argmax(probabilities))
     return Ranking(best, probabilities, float(agreement[best]))
-
-
-def candidate_probabilities(
-    evidence: FloatArray, alike: FloatArray, *, samples: int, classical: int
-) -> FloatArray:
-    """Probability (K,) of each kernel to be good: drawn ones first, then classical, then others.
-
-    A kernel agrees by its mean MNC with the drawn ones and that with the classical ones, half
-    each, without itself.
-
-    Parameters
-    ----------
-    evidence : (K, 3) float
-        From :meth:`Judge.evidence`.
-    alike : (K, K) float
-        MNC of every pair, see :func:`motdiff.metrics.mnc_matrix`.
-    samples, classical : int
-        How many there are of the first two.
-    """
-    alike = alike * (1 - np.eye(len(alike)))
-    index = np.arange(len(alike))
-    among_samples = alike[:, :samples].sum(axis=1) / np.maximum(samples - (index < samples), 1)
-    is_classical = (index >= samples) & (index < samples + classical)
-    among_classical = alike[:, samples : samples + classical].sum(axis=1) / np.maximum(
-        classical - is_classical, 1
-    )
-    return probability_good(kernel_score(evidence, (among_samples + among_classical) / 2), _DRAWN)
 
 
 def distinct(

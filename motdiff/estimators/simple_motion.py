@@ -18,8 +18,8 @@ from scipy import fft, ndimage, optimize
 from motdiff.metrics import mnc_subpixel
 from motdiff.photo_noise import LEAST_SIGMA
 from motdiff.psf_frame import centroid_px
+from motdiff.tracing.path_otf import KernelLikeness, PathOtf, kernel_otf, power
 from motdiff.tracing.quadratic import QuadraticPath, quadratic_of_psf
-from motdiff.tracing.smooth import KernelLikeness, PathOtf, kernel_otf, power
 from motdiff.trajectory import Trajectory, bilinear_otf
 from motdiff.types import BoolArray, FloatArray
 

@@ -9,5 +9,7 @@ Read it with Choi et al., "MoTDiff", arXiv 2510.26173:
   (eq. 8), samplers
 - ``sampling``: paths drawn for photos, and their PSFs
 
-Ours alone is ``correction``: a second network, which corrects an estimated kernel.
+Ours alone are ``correction``, a second network, which corrects an estimated kernel, and the
+diffusion of paths in coordinates: ``path_denoiser``, and ``path_drawing``, which draws paths for
+a kernel.
 """

@@ -41,12 +41,6 @@ _PSF_GAP_PX = 14.0  # fine pixels: fast stretches sink into noise
 _DUST_SHARE = 0.04  # components with less ridge than this share of the largest are dust
 _CREST_PX = 0.6  # a Gaussian this wide measures a line's light
 _STAIR_PX = 1.0  # map pixels: a Gaussian this wide takes the pixel stairs off a traced line
-# of 141 traced paths beyond both 30 had the right order, of 99 others 72
-# (docs/decisions/tracing.md)
-_LENGTH_PER_EXTENT = 2.5
-_CROSSINGS = 1
-_LEAST_SINE = 0.2  # between strands that cross
-_STEP_PX = 0.25
 
 
 @dataclass(frozen=True)
@@ -368,34 +362,3 @@ def _without_stairs(points: FloatArray) -> FloatArray:
     after = 2 * points[-1] - points[-2 : -pad - 2 : -1]
     smooth = ndimage.gaussian_filter1d(np.concatenate([before, points, after]), _STAIR_PX, axis=0)
     return np.asarray(smooth[pad:-pad], dtype=np.float64)
-
-
-def is_tangled(path: Trajectory) -> bool:
-    """Whether a path, long for its extent, crosses itself too often for a certain order."""
-    return path.length_px > _LENGTH_PER_EXTENT * path.extent_px and crossings(path) > _CROSSINGS
-
-
-def crossings(path: Trajectory) -> int:
-    """Count the self-crossings of a path, in pieces of a quarter of a pixel.
-
-    Strands that touch do not cross, nor do strands that are retraced: within about a pixel of a
-    crossing they part by a sine of 0.2 or more.
-    """
-    points = path.arc_resampled(max(2, round(path.length_px / _STEP_PX) + 1))
-    # side of each piece (rows) on which each point lies; pieces that cross part each other's ends
-    side = _cross(np.diff(points, axis=0)[:, None], points - points[:-1, None])
-    parted = side[:, :-1] * side[:, 1:] < 0
-    reach = round(1 / _STEP_PX)
-    pieces = np.arange(len(points) - 1)
-    chords = (
-        points[np.minimum(pieces + 1 + reach, len(points) - 1)]
-        - points[np.maximum(pieces - reach, 0)]
-    )
-    least_cross = _LEAST_SINE * ((2 * reach + 1) * _STEP_PX) ** 2
-    steep = np.abs(_cross(chords[:, None], chords[None])) > least_cross
-    return int(np.triu(parted & parted.T & steep, 2).sum())
-
-
-def _cross(u: FloatArray, v: FloatArray) -> FloatArray:
-    (ux, uy), (vx, vy) = np.moveaxis(u, -1, 0), np.moveaxis(v, -1, 0)
-    return np.asarray(ux * vy - uy * vx, dtype=np.float64)

@@ -10,16 +10,19 @@ from motdiff.files.inputs import one_line
 from motdiff.network.config import NetworkConfig
 from motdiff.network.correction import CorrectionNetwork
 from motdiff.network.denoiser import MotDiffNetwork
+from motdiff.network.path_denoiser import PathDenoiser
 from motdiff.weights_io import filled, read_header
 
 __all__ = [
     "CORRECTION_SCHEMA",
     "CORRECTION_WEIGHTS",
     "DEFAULT_WEIGHTS",
-    "MOTDIFF_FILES",
+    "PATH_SCHEMA",
+    "PATH_WEIGHTS",
     "SCHEMA",
     "load_correction",
     "load_network",
+    "load_path_denoiser",
     "network_config",
     "read_network_card",
 ]
@@ -27,8 +30,8 @@ __all__ = [
 DEFAULT_WEIGHTS = Path(__file__).with_name("motdiff.safetensors")
 CORRECTION_WEIGHTS = Path(__file__).with_name("correction.safetensors")
 CORRECTION_SCHEMA = "motdiff.correction/1"
-MOTDIFF_FILES = (DEFAULT_WEIGHTS, CORRECTION_WEIGHTS)
-"""All that the method ``motdiff`` reads: what is cached of it depends on them."""
+PATH_WEIGHTS = Path(__file__).with_name("paths.safetensors")
+PATH_SCHEMA = "motdiff.paths/1"
 SCHEMA = "motdiff.weights/1"
 
 
@@ -58,6 +61,17 @@ def load_correction(path: Path | str = CORRECTION_WEIGHTS) -> CorrectionNetwork:
         If the file is not one of ours.
     """
     return filled(CorrectionNetwork(), path, schema=CORRECTION_SCHEMA)
+
+
+def load_path_denoiser(path: Path | str = PATH_WEIGHTS) -> PathDenoiser:
+    """Build the denoiser of motion paths, in eval mode and float32.
+
+    Raises
+    ------
+    ValueError
+        If the file is not one of ours.
+    """
+    return filled(PathDenoiser(), path, schema=PATH_SCHEMA)
 
 
 def network_config(path: Path | str, *, target: str | None = None) -> NetworkConfig:

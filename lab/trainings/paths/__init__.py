@@ -1,1 +1,1 @@
-"""Diffusion of motion paths in coordinates, told of the kernels found in a photo."""
+"""Diffusion of motion paths, which draws the paths of kernels."""

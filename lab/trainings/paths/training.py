@@ -1,4 +1,4 @@
-"""Training of the denoiser of paths."""
+"""Training of the denoiser of motion paths: simulated motions and noise, no photos."""
 
 from __future__ import annotations
 
@@ -8,26 +8,44 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
+from scipy import fft
 from torch import Tensor, nn
-from torch.nn import functional
 
 from lab.trainings.averaged import AveragedNetwork, set_rate
-from lab.trainings.paths.batches import Batches
-from lab.trainings.paths.evaluation import figures
-from lab.trainings.paths.network import SIGMA_DATA, UNIT_PX, PathDenoiser, rendered
-from lab.trainings.paths.samples import PathSamples
+from motdiff.network.path_denoiser import POINTS, SIGMA_DATA, PathDenoiser
+from motdiff.training.motion_bank import MotionMix, drawn_motions
+from motdiff.weights import PATH_SCHEMA
 from motdiff.weights_io import packed, write_with_card
 
-SCHEMA = "lab.paths/1"
-_WARM_UP_STEPS = 300
+_TIMES = (np.arange(POINTS) + 0.5) / POINTS
+_LEAST_RADIUS_PX = 0.5
+_WARM_UP_STEPS = 200
 _LONGEST_GRADIENT = 1.0
-_EXPLODED = 30.0  # gradients so long are thrown away: they ruined a run
-_AVERAGED = 0.9995  # share of the old weights in the running average, once there are enough
-_LAST_RATE = 0.02  # of the first, at the end of the cosine
-_SIGMA_LOG = (-1.3, 1.5)  # mean and deviation of the noise levels' logarithms
-_LARGEST_WEIGHT = 400.0  # of an error, at the smallest noise levels
-_SHAPED_BELOW = 0.6  # noise levels at which the denoised path has the shape of one
+_AVERAGED = 0.999  # share of the old weights in the running average, once there are enough
+_LAST_RATE = 0.01  # of the first, at the end of the cosine
+_SIGMA_LOG = (-1.6, 1.6)  # mean and deviation of the noise levels' logarithms
+_VALIDATED = (0.02, 0.06, 0.2, 0.6, 2.0)  # noise levels
+_HELD_OUT = 4096  # motions, of a tenth of all at most
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Motions by their shape and size.
+
+    Attributes
+    ----------
+    shapes : (N, 63, 2) float32
+        Orthonormal cosine coefficients of 64 centred positions over their rms radius.
+    radii_px : (N,) float32, px
+    """
+
+    shapes: Tensor
+    radii_px: Tensor
+
+    def __len__(self) -> int:
+        return len(self.radii_px)
 
 
 @dataclass(frozen=True)
@@ -39,28 +57,15 @@ class Settings:
     minutes : float
         The rate falls to nothing when they are over.
     batch : int
-        Photos in an update, each with ``repeats`` noise levels.
-    repeats : int
+        Motions in an update.
     rate : float
         AdamW's step size.
-    clean : float
-        Share of photos that are motions without a search, whose kernels have faults drawn on.
-    shape : float
-        Weight of the PSFs' correlation beside the error of the points.
-    channels, layers, width : int
-        Of :class:`~lab.trainings.paths.network.PathDenoiser`.
     seed : int
     """
 
-    minutes: float = 7.0
-    batch: int = 256
-    repeats: int = 4
-    rate: float = 3e-4
-    clean: float = 0.4
-    shape: float = 0.3
-    channels: int = 160
-    layers: int = 6
-    width: int = 32
+    minutes: float = 30.0
+    batch: int = 1024
+    rate: float = 1e-3
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -69,148 +74,165 @@ class Settings:
         if self.batch < 1:
             raise ValueError(f"batch: must be at least 1, got {self.batch}")
 
-    def network(self) -> PathDenoiser:
-        """Build a network of these sizes."""
-        return PathDenoiser(self.channels, self.layers, self.width)
+
+def simulated(mix: MotionMix, *, count: int, seed: int) -> Motions:
+    """Draw motions of a mix; those that hardly move are left out."""
+    motions = drawn_motions(mix, seed=seed, indices=range(count))
+    return shaped(np.array([motion.at(_TIMES) for motion in motions], dtype=np.float32))
 
 
-class DrawnPathTrainer(AveragedNetwork[PathDenoiser]):
+def shaped(points: np.ndarray) -> Motions:
+    """Motions by their points (N, 64, 2), px, at the middles of 64 equal times."""
+    coefficients = fft.dct(points, axis=1, norm="ortho")[:, 1:]
+    radii_px = np.sqrt((coefficients**2).sum(axis=(1, 2)) / POINTS)
+    moving = radii_px > _LEAST_RADIUS_PX
+    shapes = coefficients[moving] / radii_px[moving, None, None]
+    return Motions(*(torch.from_numpy(values).float() for values in (shapes, radii_px[moving])))
+
+
+def turned(shapes: Tensor, generator: torch.Generator) -> Tensor:
+    """Turn shapes (B, 63, 2) by any angle, mirror half of them, and run half of them backwards."""
+
+    def uniform() -> Tensor:
+        return torch.rand(len(shapes), generator=generator)
+
+    angle, mirror, time_sign = 2 * math.pi * uniform(), _signs(uniform()), _signs(uniform())
+    turn = torch.stack(
+        [angle.cos(), -angle.sin(), mirror * angle.sin(), mirror * angle.cos()], dim=-1
+    ).view(-1, 2, 2)
+    # a path run backwards: cosines of odd order change sign
+    odd = (torch.arange(1, POINTS) % 2).bool()
+    backwards = torch.where(odd[None, :, None], time_sign[:, None, None], 1.0)
+    return (shapes @ turn) * backwards
+
+
+def _signs(uniform: Tensor) -> Tensor:
+    return torch.where(uniform < 0.5, 1.0, -1.0)
+
+
+class PathTrainer(AveragedNetwork[PathDenoiser]):
     """Network, its optimiser, and the running average of its weights.
 
     Parameters
     ----------
+    motions : Motions
+        To train on.
     settings : Settings
-    device : str
     """
 
-    def __init__(self, settings: Settings, *, device: str = "cpu") -> None:
-        super().__init__(settings.network, seed=settings.seed, device=device, old_share=_AVERAGED)
-        self.settings = settings
+    def __init__(self, motions: Motions, settings: Settings) -> None:
+        super().__init__(PathDenoiser, seed=settings.seed, device="cpu", old_share=_AVERAGED)
+        variances = motions.shapes.square().mean(dim=(0, 2))
+        for network in (self.network, self.average):
+            network.variances.copy_(variances)
+        self._motions = motions
+        self._settings = settings
         self._adam = torch.optim.AdamW(
-            self.network.parameters(), lr=settings.rate, betas=(0.9, 0.98), weight_decay=0.02
+            self.network.parameters(), lr=settings.rate, betas=(0.9, 0.99), weight_decay=0.01
         )
-        self.generator = torch.Generator(device).manual_seed(settings.seed)
-        self.thrown_away = 0
+        self._generator = torch.Generator().manual_seed(settings.seed)
 
-    def update(self, maps: Tensor, points: Tensor, *, share: float) -> float:
-        """Make one update, when a ``share`` of the time has passed; returns the loss.
-
-        Parameters
-        ----------
-        maps : (B, 4, 64, 64) float
-        points : (B, 64, 2) float, px
-        """
-        rate = self.settings.rate * min(1.0, (self.step + 1) / _WARM_UP_STEPS)
+    def update(self, *, share: float) -> float:
+        """Make one update, when a ``share`` of the time has passed; returns the loss."""
+        rate = self._settings.rate * min(1.0, (self.step + 1) / _WARM_UP_STEPS)
         set_rate(self._adam, rate * max(_LAST_RATE, 0.5 * (1 + math.cos(math.pi * share))))
-        loss = self._loss(maps, points.repeat_interleave(self.settings.repeats, dim=0))
+        count = self._settings.batch
+        chosen = torch.randint(len(self._motions), (count,), generator=self._generator)
+        mean, deviation = _SIGMA_LOG
+        sigma = torch.exp(mean + deviation * torch.randn(count, generator=self._generator))
+        shapes = turned(self._motions.shapes[chosen], self._generator)
+        radii_px = self._motions.radii_px[chosen]
+        loss = denoising_loss(self.network, shapes, radii_px, sigma, self._generator)
         self._adam.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        length = float(nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT))
-        if math.isfinite(length) and length <= _EXPLODED:
-            self._adam.step()
-        else:
-            self.thrown_away += 1
+        nn.utils.clip_grad_norm_(self.network.parameters(), _LONGEST_GRADIENT)
+        self._adam.step()
         self.advance()
         return float(loss.detach())
 
-    def _loss(self, maps: Tensor, points: Tensor) -> Tensor:
-        x0 = points / UNIT_PX
-        mean, deviation = _SIGMA_LOG
-        noise = torch.randn(x0.shape, generator=self.generator, device=x0.device)
-        levels = torch.randn(len(x0), generator=self.generator, device=x0.device)
-        sigma = torch.exp(mean + deviation * levels)
-        with self.single_or_bf16():
-            condition = self.network.condition(maps)
-            denoised = self.network(x0 + sigma[:, None, None] * noise, sigma, condition).float()
-        weight = (sigma.square() + SIGMA_DATA**2) / (sigma * SIGMA_DATA).square()
-        error = (denoised - x0).square().mean(dim=(1, 2))
-        loss = (weight.clamp(max=_LARGEST_WEIGHT) * error).mean()
-        shaped = (sigma < _SHAPED_BELOW).float()
-        psfs, truth = rendered(UNIT_PX * denoised), rendered(points)
-        # the sharp ones are nearly MNC; the blurred ones pull from farther away
-        unlike = 1 - _correlation(psfs, truth) + 1 - _correlation(_blurred(psfs), _blurred(truth))
-        shape = (shaped * unlike).sum() / (2 * shaped.sum().clamp(min=1))
-        total: Tensor = loss + self.settings.shape * shape
-        return total
 
-
-def train(
-    samples: PathSamples,
-    held_out: PathSamples,
-    motions: Tensor,
-    target: Path | str,
-    *,
-    settings: Settings = Settings(),
-    device: str = "cpu",
-    validate_s: float = 40.0,
-    clock: Callable[[], float] = time.monotonic,
-    report: Callable[[str], None] = lambda _line: None,
-) -> None:
-    """Train until the time is over; the file holds the weights that validated best.
+def denoising_loss(
+    network: PathDenoiser,
+    shapes: Tensor,
+    radii_px: Tensor,
+    sigma: Tensor,
+    generator: torch.Generator,
+) -> Tensor:
+    """Mean squared error of denoised shapes (B, 63, 2), 1 for a network that gives 0 (EDM, eq. 8).
 
     Parameters
     ----------
-    samples, held_out : PathSamples
-    motions : (M, 64, 2) float, px
-        Of :func:`~lab.trainings.paths.samples.clean_points`.
+    radii_px : (B,), px
+    sigma : (B,)
+        Noise levels.
+    """
+    noise = torch.randn(shapes.shape, generator=generator)
+    denoised = network(shapes + sigma[:, None, None] * noise, sigma, radii_px)
+    weight = (sigma.square() + SIGMA_DATA**2) / (sigma * SIGMA_DATA).square()
+    loss: Tensor = (weight * (denoised - shapes).square().mean(dim=(1, 2))).mean()
+    return loss
+
+
+def train(
+    motions: Motions,
+    target: Path | str,
+    *,
+    settings: Settings = Settings(),
+    validate_s: float = 60.0,
+    clock: Callable[[], float] = time.monotonic,
+    report: Callable[[str], None] = lambda _line: None,
+) -> None:
+    """Train until the time is over; the last motions, a tenth at most, validate.
+
+    Parameters
+    ----------
+    motions : Motions
     target : path
-        Weights file, written whole at each validation that is better than those before.
+        Weights file, written whole at each validation.
     settings : Settings
-    device : str
     validate_s : float
         Seconds between validations.
     clock : callable
         Seconds.
     report : callable
         Called with a line at every validation.
-
-    Raises
-    ------
-    FloatingPointError
-        If more than a tenth of the updates exploded.
     """
-    trainer = DrawnPathTrainer(settings, device=device)
-    samples, held_out = (
-        PathSamples(*(tensor.to(device) for tensor in vars(s).values()))
-        for s in (samples, held_out)
+    held_out = min(_HELD_OUT, len(motions) // 10)
+    train_count = len(motions) - held_out
+    trainer = PathTrainer(
+        Motions(motions.shapes[:train_count], motions.radii_px[:train_count]), settings
     )
-    batches = Batches(samples, motions.to(device), generator=trainer.generator)
+    validation = Motions(motions.shapes[train_count:], motions.radii_px[train_count:])
     started = validated = clock()
-    best = 0.0
     share = 0.0
     while share < 1:
-        maps, points = batches.batch(settings.batch, settings.clean)
-        loss = trainer.update(maps, points, share=share)
+        loss = trainer.update(share=share)
         moment = clock()
         share = (moment - started) / (60 * settings.minutes)
-        if trainer.thrown_away > max(20, trainer.step / 10):
-            raise FloatingPointError(
-                f"rate: {trainer.thrown_away} of {trainer.step} updates exploded at"
-                f" {settings.rate:g}; train with a smaller one"
-            )
         if moment - validated < validate_s and share < 1:
             continue
-        generator = torch.Generator(device).manual_seed(settings.seed)
-        result = figures(trainer.average, held_out, draws=4, generator=generator)
-        if result.draw + result.best > best:
-            best = result.draw + result.best
-            card = {"settings": asdict(settings), "step": trainer.step, "figures": asdict(result)}
-            tensors = packed(trainer.average.state_dict(), source=target)
-            write_with_card(tensors, target, schema=SCHEMA, card=card)
-        values = ", ".join(f"{name} {value:.3f}" for name, value in asdict(result).items())
-        report(
-            f"{trainer.step} updates, {moment - started:.0f} s, loss {loss:.3f},"
-            f" {trainer.thrown_away} thrown away; {values}"
-        )
+        losses = validation_losses(trainer.average, validation, seed=settings.seed)
+        card = {"settings": asdict(settings), "step": trainer.step, "losses": losses}
+        tensors = packed(trainer.average.state_dict(), source=target)
+        write_with_card(tensors, target, schema=PATH_SCHEMA, card=card)
+        values = ", ".join(f"{value:.4f} at {sigma}" for sigma, value in losses.items())
+        report(f"{trainer.step} updates, {moment - started:.0f} s, loss {loss:.3f}; {values}")
         validated = clock()
 
 
-def _correlation(first: Tensor, second: Tensor) -> Tensor:
-    """Correlation (B,) of maps (B, H, W) where they lie."""
-    norms = first.flatten(1).norm(dim=1) * second.flatten(1).norm(dim=1)
-    correlation: Tensor = (first * second).sum(dim=(1, 2)) / norms.clamp(min=1e-9)
-    return correlation
-
-
-def _blurred(psfs: Tensor) -> Tensor:
-    return functional.avg_pool2d(functional.avg_pool2d(psfs[:, None], 3, 1, 1), 3, 1, 1)[:, 0]
+@torch.no_grad()
+def validation_losses(network: PathDenoiser, motions: Motions, *, seed: int) -> dict[str, float]:
+    """Losses by noise level; the same noise at every call."""
+    generator = torch.Generator().manual_seed(seed)
+    return {
+        f"{sigma:g}": float(
+            denoising_loss(
+                network,
+                motions.shapes,
+                motions.radii_px,
+                torch.full((len(motions),), sigma),
+                generator,
+            )
+        )
+        for sigma in _VALIDATED
+    }

@@ -1,4 +1,4 @@
-"""MoTDiff: motions drawn from a conditional diffusion model, scored and refined on the photo."""
+"""MoTDiff: the kernel of a corrected search, and paths drawn for it by a diffusion model."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from motdiff.estimators.method import Method, option
+from motdiff.estimators.method import Method
 
 if TYPE_CHECKING:
     from motdiff.estimators.motdiff.estimator import MotDiffEstimator
@@ -39,31 +39,20 @@ class MotDiff(Method):
     smallest_px = 64  # a PSF frame: the lag maps need as much
     is_blind = True
 
-    samples: int = option(
-        "count",
-        "Motions to draw; 8 when omitted, more add next to nothing.",
-        flag="--samples",
-        metavar="K",
-        default=8,
-    )
-    weights: Path | None = None
-
     def make(
         self, *, seed: int = 0, progress: Callable[[float], None] | None = None
     ) -> MotDiffEstimator:
-        """Make the estimator, with the shipped weights unless others are named."""
+        """Make the estimator; the seed is that of the drawn paths."""
         from motdiff.estimators.motdiff.estimator import MotDiffEstimator
 
-        return MotDiffEstimator(
-            weights=self.weights, samples=self.samples, seed=seed, progress=progress
-        )
+        return MotDiffEstimator(seed=seed, progress=progress)
 
     def loading_shares(self) -> tuple[float, float, float]:
         """Shares of a photo's estimate: docs/decisions/code.md."""
         return 0.12, 0.28, 0.36
 
     def weight_files(self) -> tuple[Path, ...]:
-        """Weights of the network and of its correction."""
-        from motdiff.weights import MOTDIFF_FILES
+        """Weights of the correction and of the drawn paths."""
+        from motdiff.weights import CORRECTION_WEIGHTS, PATH_WEIGHTS
 
-        return (self.weights or MOTDIFF_FILES[0], *MOTDIFF_FILES[1:])
+        return (CORRECTION_WEIGHTS, PATH_WEIGHTS)

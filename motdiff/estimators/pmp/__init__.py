@@ -34,11 +34,10 @@ class Pmp(Method):
     def make(
         self, *, seed: int = 0, progress: Callable[[float], None] | None = None
     ) -> PmpEstimator:
-        """Make the estimator, which draws nothing at random."""
-        del seed
+        """Make the estimator; the seed is that of the drawn paths."""
         from motdiff.estimators.pmp.estimator import PmpEstimator
 
-        return PmpEstimator(progress=progress)
+        return PmpEstimator(seed=seed, progress=progress)
 
     def loading_shares(self) -> tuple[float, float, float]:
         """Shares of a photo's estimate: docs/decisions/code.md."""

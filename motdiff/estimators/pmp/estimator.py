@@ -52,7 +52,7 @@ class PmpEstimator(BlindEstimator):
 
     Parameters
     ----------
-    crops, progress
+    crops, seed, progress
         As of :class:`motdiff.estimators.blind_estimator.BlindEstimator`.
 
     References
@@ -68,9 +68,10 @@ class PmpEstimator(BlindEstimator):
         *,
         starts: tuple[Start, ...] = STARTS,
         crops: int = 3,
+        seed: int = 0,
         progress: Callable[[float], None] | None = None,
     ) -> None:
-        super().__init__(crops=crops, progress=progress)
+        super().__init__(crops=crops, seed=seed, progress=progress)
         if not starts:
             raise ValueError("starts: need at least one")
         self._starts = starts

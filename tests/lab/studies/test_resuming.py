@@ -4,12 +4,13 @@ import cv2
 import numpy as np
 import pytest
 
-from lab.studies import motdiff_gain, photo_faults, photo_path
+from lab.studies import drawn_path, photo_faults, photo_path
 from lab.studies.goldens.inputs import recorded_shake
-from lab.studies.inputs import add_row, case_key, finished_rows
+from lab.studies.inputs import add_row, finished_rows
 
 FIGURES = {
     photo_path: lambda shot, _estimator: {"name": shot.name, "kind": shot.kind},
+    drawn_path: lambda shot, _estimator, _denoiser, draws: {"name": shot.name, "draws": draws},
     photo_faults: lambda photo, _estimator: {
         "name": photo.name,
         "mnc": 0.5,
@@ -34,7 +35,7 @@ def run(tmp_path, monkeypatch):
         monkeypatch.setattr(study, "MotDiffEstimator", object)
         monkeypatch.setattr(study, "study_version", lambda _study: version)
         monkeypatch.setattr(study, "figures", FIGURES[study])
-        words = ["rows"] if study is photo_path else []
+        words = [] if study is photo_faults else ["rows"]
         words += [str(file), "--photos", str(tmp_path / photos), "--count", "1", *options]
         monkeypatch.setattr("sys.argv", ["study", *words, "--gyro", str(tmp_path / "gyro.csv")])
         before = len(finished_rows(file))
@@ -57,61 +58,12 @@ def test_only_rows_of_the_same_options_are_finished(run, study, capsys):
         assert "| all | 1 |" in capsys.readouterr().out.splitlines()[-1]
 
 
-@pytest.fixture
-def missing_rows(monkeypatch):
-    """Rows that a bench with two methods and no networks would measure."""
-
-    def row_of(photo, methods, _searches):
-        return {"name": photo.name, **{name: {"mnc": 0.5} for name in methods}}
-
-    def drawn(_network, _correction, _photo, count, _number):
-        return {motdiff_gain._LAST_DRAWS: {"mnc": [0.5] * count}}
-
-    monkeypatch.setattr(motdiff_gain, "estimators", lambda _: {"pmp": None, "motdiff": None})
-    monkeypatch.setattr(motdiff_gain, "row_of", row_of)
-    monkeypatch.setattr(motdiff_gain, "drawn", drawn)
-    for name in ("load_network", "load_correction"):
-        monkeypatch.setattr(motdiff_gain, name, lambda: None)
-    empty = np.zeros((1, 1))
-    photo = motdiff_gain.Photo("0000", "gyro", "0000", empty, empty, conditions=empty)
-
-    def missing(lines, draws=8, **options):
-        rows = {case_key(row["case"]): row for row in motdiff_gain.merged_rows(lines)}
-        return list(motdiff_gain.missing_rows([photo], rows, draws, options))
-
-    return missing
-
-
-def test_photos_of_two_runs_are_not_merged(missing_rows):
-    lines = missing_rows([], prepared="a.toml")
-    assert len(lines) == 1
-    assert missing_rows(lines, prepared="a.toml") == []
-    lines += missing_rows(lines, prepared="b.toml")
-    assert len(motdiff_gain.merged_rows(lines)) == 2
-
-
-def test_another_number_of_draws_is_drawn_anew_and_nothing_else(missing_rows):
-    lines = missing_rows([], draws=8)
-    (again,) = missing_rows(lines, draws=4)
-    assert {"pmp", "motdiff"}.isdisjoint(again)
-    (row,) = motdiff_gain.merged_rows([*lines, again])
-    assert motdiff_gain.draw_count(row) == 4
-    assert "pmp" in row
-
-
-def test_a_method_that_a_row_lacks_is_added_to_it(missing_rows):
-    (row,) = missing_rows([])
-    (added,) = missing_rows([{key: row[key] for key in row if key != "pmp"}])
-    assert "pmp" in added
-    assert "motdiff" not in added
-
-
 def test_a_table_of_several_versions_is_refused(tmp_path, monkeypatch, capsys):
     for version in "ab":
         row = {"case": {"name": "0", "version": version}, "name": "0"}
         add_row(tmp_path / f"{version}.jsonl", row)
     files = [str(tmp_path / f"{version}.jsonl") for version in "ab"]
-    for study in (photo_path, motdiff_gain):
+    for study in (photo_path, drawn_path):
         monkeypatch.setattr("sys.argv", ["study", "table", *files])
         with pytest.raises(SystemExit) as exit_status:
             study.main()

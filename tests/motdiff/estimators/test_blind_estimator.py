@@ -2,6 +2,7 @@
 what is told."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,8 +15,6 @@ from motdiff.metrics import mnc_subpixel
 from motdiff.photo_values import exposure_gain
 from motdiff.psf_frame import without_faint_parts
 from motdiff.simulate import blur_valid
-from motdiff.tracing.path import is_tangled
-from motdiff.tracing.quadratic import simplest_trajectory
 from motdiff.trajectory import Trajectory
 
 KERNEL_PX = 39
@@ -435,90 +434,65 @@ def test_a_lost_estimate_is_said_to_be_lost():
     assert found_in(noise(100, 100), FakeSearch((line(), 0.5)))[0].warnings == ()
 
 
-def test_a_web_is_no_motion_however_sure_the_search_is():
-    web = np.zeros((KERNEL_PX, KERNEL_PX))
-    web[4:35:6, 4:35] = web[4:35, 4:35:6] = 1
-    estimate, _ = found_in(noise(100, 100), FakeSearch((web / web.sum(), 0.98)))
-    said, lost = estimate.warnings
-    assert "px: more a web of noise than a motion" in said
-    assert lost.startswith("the blind estimate is probably lost (confidence 0.20)")
-    assert estimate.psf_warnings == ()
-    assert estimate.confidence == 0.2
-    long, _ = found_in(noise(100, 100), FakeSearch((line(34), 0.98)))
-    assert (long.confidence, long.warnings) == (0.98, ())
+@pytest.fixture
+def drawing(monkeypatch):
+    """Let the model draw orders in time with their chances; returns what it was asked."""
+    asked = []
+
+    def draw_these(*orders):
+        def draw(_denoiser, _kernel, *, count, rng):
+            asked.append((count, rng.random()))
+            return SimpleNamespace(orders=lambda: orders)
+
+        monkeypatch.setattr(
+            "motdiff.estimators.description.plain_trajectory", lambda *_, **__: None
+        )
+        monkeypatch.setattr("motdiff.network.path_drawing.draw_paths", draw)
+        return asked
+
+    return draw_these
 
 
-def test_a_web_found_at_half_size_is_told_of_in_pixels_of_the_photo():
-    web = np.zeros((KERNEL_PX, KERNEL_PX))
-    web[4:35:6, 4:35] = web[4:35, 4:35:6] = 1
-    whole, _ = found_in(noise(100, 100), FakeSearch((web / web.sum(), 0.98)))
-    halved, _ = found_in(noise(300, 300), FakeSearch((LONG, 0.1), (web / web.sum(), 0.98)))
-    assert halved.details["scale"] == 0.5
-    at_once, at_half = (
-        [float(word) for word in estimate.warnings[0].split() if word.isdigit()]
-        for estimate in (whole, halved)
-    )
-    assert at_half == pytest.approx([2 * px for px in at_once], abs=1)
-    trace = simplest_trajectory(web).scaled(2)
-    assert at_half == pytest.approx([trace.length_px, trace.extent_px], abs=0.5)
+TWO_ORDERS = (Trajectory.straight(12.0), Trajectory.straight(12.0, angle_rad=1.0))
 
 
-def test_a_tangled_path_s_order_is_said_to_be_unknown_unless_the_whole_estimate_is_lost():
-    tangle = np.zeros((KERNEL_PX, KERNEL_PX))
-    tangle[14:25:5, 14:25] = tangle[14:25, 14:25:5] = 1
-    estimate, _ = found_in(noise(100, 100), FakeSearch((tangle / tangle.sum(), 0.98)))
-    path = simplest_trajectory(tangle)
-    assert path.length_px > 2.5 * path.extent_px
+@pytest.mark.parametrize("factor", [1, 2])
+def test_the_orders_drawn_share_the_kernel_s_weight(drawing, factor):
+    first, second = TWO_ORDERS
+    drawing((first, 0.75), (second, 0.25))
+    up = line(9, angle_rad=np.pi / 2)
+    search = FakeSearch((line(13), 0.8), others=[(up, 0.3)])
+    side = 100
+    if factor > 1:
+        side = 300
+        search = FakeSearch((LONG, 0.1), (line(13), 0.8))
+    estimate, _ = found_in(noise(side, side), search)
+    np.testing.assert_allclose(estimate.best.xy, factor * first.xy)
+    np.testing.assert_allclose(estimate.trajectories[-1].xy, factor * second.xy)
+    weights = np.array([0.6, 0.2] if factor > 1 else [0.6, 0.3, 0.2])
+    assert estimate.weights == pytest.approx(weights / weights.sum())
+    assert estimate.details["path_confidence"] == pytest.approx(0.8 * 0.75)
+    assert estimate.warnings == () or factor > 1
+
+
+def test_an_order_in_doubt_is_said_unless_the_whole_estimate_is_lost(drawing):
+    first, second = TWO_ORDERS
+    drawing((first, 0.4), (second, 0.3), (second, 0.3))
+    estimate, _ = found_in(noise(100, 100), FakeSearch((line(13), 0.98)))
     (said,) = estimate.warnings
-    assert said.startswith(
-        f"the path traced is tangled ({path.length_px:.0f} px within {path.extent_px:.0f} px)"
-    )
+    assert "does not tell the order in time" in said
     assert "method gyro" in said
     assert estimate.confidence == 0.98
-    (lost,) = found_in(noise(100, 100), FakeSearch((tangle / tangle.sum(), 0.4)))[0].warnings
+    assert said not in estimate.psf_warnings
+    (lost,) = found_in(noise(100, 100), FakeSearch((line(13), 0.4)))[0].warnings
     assert lost.startswith("the blind estimate is probably lost")
 
 
-@pytest.mark.parametrize(("side", "scale"), [(100, 1), (300, 0.5)])
-def test_a_path_is_tangled_by_its_strands_where_it_was_searched(monkeypatch, side, scale):
-    """Three strands 0.1 px aside of each other are one; twice as large in the photo they are no
-    more."""
-    along = 20 * (1 - np.abs(1 - (3 * np.linspace(0, 1, 2001)) % 2))
-    aside = 0.1 * np.sin(2 * np.pi * along / 3) * np.where(np.arange(2001) // 667 == 1, -1, 1)
-    wobbling = Trajectory.from_samples(np.c_[along, aside])
-    assert not is_tangled(wobbling)
-    assert is_tangled(wobbling.scaled(2))
-    monkeypatch.setattr(
-        "motdiff.estimators.description.plain_trajectory", lambda _psf, **_: wobbling
-    )
-    estimate, _ = found_in(
-        noise(side, side), FakeSearch((LONG, 0.1), (line(15), 0.98)) if scale < 1 else None
-    )
-    assert estimate.details["scale"] == scale
-    assert not any("tangled" in warning for warning in estimate.warnings)
-
-
-def test_a_spiral_is_long_within_its_extent_but_not_tangled():
-    t = np.linspace(0, 1, 400)
-    radius = 9 * (1 + 0.5 * t)
-    angle = 2.6 * np.pi * t
-    spiral = Trajectory.from_samples(np.c_[radius * np.cos(angle), radius * np.sin(angle)])
-    estimate, _ = found_in(noise(100, 100), FakeSearch((spiral.psf(KERNEL_PX), 0.98)))
-    path = estimate.trajectories[0]
-    assert path.length_px > 3 * path.extent_px
-    assert estimate.warnings == ()
-
-
-def test_a_tangle_is_a_web_by_its_length_where_it_was_searched():
-    """Of more than 200 px in the photo but half of that where it was found: no web, however many
-    turns it takes."""
-    web = np.zeros((KERNEL_PX, KERNEL_PX))
-    web[9:25:5, 9:25] = web[9:25, 9:25:5] = 1
-    estimate, _ = found_in(noise(300, 300), FakeSearch((LONG, 0.1), (web / web.sum(), 0.98)))
-    path = simplest_trajectory(web).scaled(2)
-    assert path.length_px > max(200, 4 * path.extent_px)
-    assert path.length_px < 400
-    assert not any("web" in warning for warning in estimate.warnings)
+def test_the_seed_is_that_of_the_drawn_paths(drawing):
+    asked = drawing((Trajectory.straight(12.0), 1.0))
+    for seed in (0, 0, 1):
+        found_in(noise(100, 100), FakeSearch(seed=seed))
+    assert asked[0] == asked[1] != asked[2]
 
 
 def test_one_blur_in_all_crops_is_no_warning():
@@ -619,19 +593,11 @@ def test_the_estimate_is_doubted_on_the_photo_at_full_size(undoubted):
     assert undoubted[-1][1]["outgrown"]
 
 
-@pytest.mark.parametrize(
-    ("path", "share"),
-    [([[0, 0], [10, 0], [20, 2]], 0.9), ([[0, 0], [14, 0], [14, 12]], 0.1)],
-    ids=["arc", "bent"],
-)
-def test_a_path_is_less_sure_than_its_psf_the_more_it_bends(path, share):
-    kernel = Trajectory.from_samples(path).psf(KERNEL_PX)
+def test_a_plain_path_is_less_sure_than_its_psf():
+    kernel = Trajectory.from_samples([[0, 0], [10, 0], [20, 2]]).psf(KERNEL_PX)
     estimate, _ = found_in(noise(100, 100), FakeSearch((kernel, 0.8)))
     assert estimate.details["psf_confidence"] == estimate.confidence == 0.8
-    assert estimate.details["path_confidence"] == pytest.approx(0.8 * share)
-
-
-# ---- refusals
+    assert estimate.details["path_confidence"] == pytest.approx(0.8 * 0.9)
 
 
 @pytest.mark.parametrize(

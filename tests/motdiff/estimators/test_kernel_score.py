@@ -1,5 +1,4 @@
-"""Scores of kernels: evidence prepared once as one by one, agreement by hand, and
-probabilities."""
+"""Scores of kernels: evidence prepared once as one by one, and probabilities."""
 
 import numpy as np
 import pytest
@@ -10,7 +9,6 @@ from motdiff.estimators.kernel_score import (
     Judge,
     Phase,
     Spectrum,
-    candidate_probabilities,
     distinct,
     kernel_score,
     rank_kernels,
@@ -92,39 +90,12 @@ def test_the_classical_ranking_is_by_score(crops):
     assert log_odds[ranking.best] > log_odds[0]
 
 
-def test_agreement_by_hand():
-    """Points and pairs of points: the MNC of a point with a pair is 1 / sqrt 2, of two different
-    pairs 1 / 2."""
-    point, across, down = np.zeros((3, 15, 15))
-    point[7, 7] = 1
-    across[7, 5], across[7, 10] = 0.5, 0.5
-    down[4, 7], down[11, 7] = 0.5, 0.5
-    kernels = [point, across, down, point, across]  # two samples, two classical ones, another
-    r = np.sqrt(1 / 2)
-    samples = [r, r, (r + 1 / 2) / 2, (1 + r) / 2, (r + 1) / 2]  # the first two without themselves
-    classical = [(r + 1) / 2, (1 / 2 + r) / 2, r, r, (1 / 2 + r) / 2]
-    believed = candidate_probabilities(
-        np.zeros((5, 3)), mnc_matrix(kernels), samples=2, classical=2
-    )
-    alone = [
-        candidate_probabilities(np.zeros((1, 3)), np.eye(1), samples=n, classical=0)[0]
-        for n in (0, 1)
-    ]
-    assert alone[0] == alone[1] < believed.min()
-    gained = special.logit(believed) - special.logit(alone[0])
-    expected = kernel_score(np.zeros((5, 3)), np.mean([samples, classical], axis=0))
-    np.testing.assert_allclose(gained / gained[0], expected / expected[0], atol=1e-6)
-
-
 def test_score_rises_with_the_evidence_and_agreement_and_falls_with_light_on_the_rim():
     fit, phase, rim = kernel_score(np.eye(3))
     assert min(fit, phase) > 0 > rim
     rows = np.random.default_rng(0).normal(size=(20, 3))
     np.testing.assert_allclose(kernel_score(rows), rows @ [fit, phase, rim])
     assert (kernel_score(rows, 0.5) > kernel_score(rows)).all()
-    assert candidate_probabilities(
-        np.zeros((0, 3)), np.zeros((0, 0)), samples=0, classical=0
-    ).shape == (0,)
 
 
 def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
@@ -132,12 +103,10 @@ def test_the_photo_believes_the_truth_and_not_what_is_lost(crops):
     lost = STRAIGHT.psf(63).T
     blob = np.exp(-0.5 * (np.mgrid[-31:32, -31:32] ** 2).sum(axis=0) / 16)
     kernels = [truth, truth[::-1, ::-1], lost, blob / blob.sum()]
-    believed = candidate_probabilities(
-        Judge(crops).evidence(kernels), mnc_matrix(kernels), samples=4, classical=0
-    )
-    assert believed.argmax() == 0
-    assert believed[0] > 0.7
-    assert believed[2:].max() < 0.4
+    ranking = rank_kernels(crops, kernels)
+    assert ranking.best == 0
+    assert ranking.probabilities[0] > 0.6
+    assert ranking.probabilities[2:].max() < 0.4
 
 
 def test_distinct_kernels_are_chosen_in_order():

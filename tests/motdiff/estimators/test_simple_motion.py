@@ -5,8 +5,8 @@ from motdiff.estimators.simple_motion import PhotoSpectrum, simple_motion
 from motdiff.metrics import mnc_subpixel, timed_distance_px
 from motdiff.motions import boracchi_foi
 from motdiff.simulate import photograph
+from motdiff.tracing.path_otf import kernel_otf
 from motdiff.tracing.quadratic import QuadraticPath
-from motdiff.tracing.smooth import kernel_otf
 from motdiff.trajectory import Trajectory
 
 NOISE = 0.005

@@ -1,192 +1,142 @@
-"""Diffusion of paths: rendering, symmetries, registration, one update, draws and command line."""
+"""Training of drawn paths: shapes of motions, symmetries, the loss, a run, its command line."""
 
 import numpy as np
 import pytest
 import torch
 
-from cep.files.images import write_image
-from lab.trainings.paths import samples as samples_module
 from lab.trainings.paths.__main__ import run
-from lab.trainings.paths.batches import Batches
-from lab.trainings.paths.evaluation import figures
-from lab.trainings.paths.network import POINTS, UNIT_PX, PathDenoiser, draw, rendered
-from lab.trainings.paths.samples import (
-    PathSamples,
-    clean_points,
-    described_paths,
-    forward_in_time,
-    peaks,
-    read_samples,
+from lab.trainings.paths.training import (
+    Motions,
+    PathTrainer,
+    Settings,
+    denoising_loss,
+    shaped,
+    simulated,
+    train,
     turned,
+    validation_losses,
 )
-from lab.trainings.paths.training import DrawnPathTrainer, Settings, train
-from motdiff.blind_search.grids import SYMMETRIES, mirrored
-from motdiff.motions import boracchi_foi
+from motdiff.network.path_denoiser import POINTS, SIGMA_DATA, PathDenoiser
 from motdiff.training.motion_bank import MotionMix
-from motdiff.weights_io import read_card, read_tensors
+from motdiff.weights import PATH_SCHEMA, load_path_denoiser
+from motdiff.weights_io import read_card
 
-MIX = MotionMix(max_length_px=25)
-SMALL = {"channels": 32, "layers": 2, "width": 8}
-
-
-def walk(seed):
-    return boracchi_foi(np.random.default_rng(seed), max_length_px=30)
+MIX = MotionMix(boracchi_foi=0.5, straight=0.5, max_length_px=25)
 
 
-def some_samples(count=6):
-    motions = [walk(seed) for seed in range(count)]
-    psfs = torch.from_numpy(np.stack([motion.psf(64) for motion in motions])).float()
-    times = np.linspace(0, 1, POINTS)
-    points = torch.from_numpy(np.stack([motion.at(times) for motion in motions])).float()
-    return described_paths(psfs[:, None].repeat(1, 3, 1, 1), psfs.clone(), points, psfs)
+def some_motions(count=40):
+    return simulated(MIX, count=count, seed=3)
 
 
-def test_a_rendered_path_is_its_psf():
-    for seed in range(4):
-        motion = walk(seed)
-        points = torch.from_numpy(motion.at(np.linspace(0, 1, POINTS))).float()
-        exact = torch.from_numpy(motion.psf(64)).float()
-        assert peaks(rendered(points[None])[None], exact[None, None])[0] > 0.99
-    outside = rendered(torch.full((1, POINTS, 2), 40.0))
-    assert float(outside.sum()) == 0
+def generator(seed=0):
+    return torch.Generator().manual_seed(seed)
 
 
-@pytest.mark.parametrize("symmetry", range(SYMMETRIES))
-def test_maps_and_points_turn_alike(symmetry):
-    points = torch.from_numpy(walk(1).at(np.linspace(0, 1, POINTS))).float()[None]
-    maps, turned_points = turned(rendered(points)[:, None], points, symmetry)
-    torch.testing.assert_close(maps[:, 0], rendered(turned_points), atol=1e-6, rtol=0)
-    torch.testing.assert_close(maps, mirrored(rendered(points)[:, None], symmetry, pitch=1))
+def points_of(shapes, radii_px):
+    """Positions (N, 64, 2), px, of shapes, by the sum of cosines itself."""
+    order = np.arange(1, POINTS)
+    times = (np.arange(POINTS) + 0.5) / POINTS
+    cosines = np.sqrt(2 / POINTS) * np.cos(np.pi * order * times[:, None])
+    return radii_px.numpy()[:, None, None] * (cosines @ shapes.numpy())
 
 
-def test_points_are_laid_on_kernels_to_a_part_of_a_pixel():
-    motion = walk(3)
-    points = torch.from_numpy(motion.at(np.linspace(0, 1, POINTS))).float()[None]
-    shift = torch.tensor([2.3, -1.4])
-    kernels = rendered(points + shift)[:, None].repeat(1, 3, 1, 1)
-    kernels[:, 1] = kernels[:, 1].roll((3, -5), (1, 2))
-    laid = described_paths(kernels, kernels[:, 0], points, rendered(points))
-    maps = laid.maps.float()
-    torch.testing.assert_close(maps[:, 1], maps[:, 0])
-    again = rendered(laid.points)
-    assert peaks(again[:, None], maps[:, :1].square())[1].abs().max() < 0.2
-    assert float(laid.alike[0]) > 0.8  # over whole pixels only
-
-
-def test_time_runs_one_way_for_a_path_and_its_reverse():
-    points = torch.randn(9, POINTS, 2, generator=torch.Generator().manual_seed(0)).cumsum(1)
-    torch.testing.assert_close(forward_in_time(points), forward_in_time(points.flip(1)))
-
-
-def test_a_path_with_hardly_any_noise_stays_as_it_is():
-    network = PathDenoiser(32, 2, 8)
-    torch.nn.init.normal_(network.out.weight)
-    samples = some_samples(2)
-    x = samples.points / UNIT_PX
-    condition = network.condition(samples.maps.float() / 127)
-    denoised = network(x, torch.full((2,), 1e-4), condition)
-    assert float((denoised - x).detach().abs().max()) < 0.01
-
-
-def test_training_brings_the_loss_down_and_throws_exploding_updates_away():
-    samples = some_samples()
-    trainer = DrawnPathTrainer(Settings(**SMALL, batch=8, rate=3e-3, clean=0.25))
-    batches = Batches(samples, samples.points, generator=trainer.generator)
-    losses = [trainer.update(*batches.batch(8, 0.25), share=0.1) for _ in range(80)]
-    assert np.mean(losses[-30:]) < 0.85 * np.mean(losses[:10])
-    before = [value.clone() for value in trainer.network.parameters()]
-    maps, points = batches.batch(8, 0.0)
-    trainer.update(maps, points * float("nan"), share=0.1)
-    assert trainer.thrown_away == 1
-    assert all(map(torch.equal, before, trainer.network.parameters()))
-
-
-def test_draws_follow_from_the_generator_alone():
-    network = PathDenoiser(32, 2, 8).eval()
-    maps = some_samples(2).maps.float() / 127
-    first, again = (
-        draw(network, maps, count=3, steps=4, generator=torch.Generator().manual_seed(7))
-        for _ in range(2)
+def test_shapes_are_centred_paths_of_radius_1():
+    points = np.cumsum(np.random.default_rng(0).standard_normal((5, POINTS, 2)), axis=1)
+    motions = shaped(points.astype(np.float32))
+    centred = points - points.mean(axis=1, keepdims=True)
+    np.testing.assert_allclose(points_of(motions.shapes, motions.radii_px), centred, atol=1e-4)
+    np.testing.assert_allclose(
+        motions.radii_px, np.sqrt((centred**2).sum(axis=2).mean(axis=1)), rtol=1e-5
     )
-    assert first.shape == (2, 3, POINTS, 2)
-    assert torch.equal(first, again)
-    assert not torch.equal(first[:, 0], first[:, 1])
 
 
-class Oracle(PathDenoiser):
-    """Denoises every path to the truth."""
-
-    def __init__(self, points):
-        super().__init__(32, 1, 8)
-        self.truth = points / UNIT_PX
-
-    def forward(self, x, sigma, condition):
-        return self.truth.repeat_interleave(len(x) // len(self.truth), dim=0)
+def test_what_hardly_moves_is_left_out():
+    points = np.zeros((2, POINTS, 2), dtype=np.float32)
+    points[1, :, 0] = np.linspace(0, 20, POINTS)
+    assert len(shaped(points)) == 1
 
 
-def test_figures_of_true_draws_are_perfect():
-    samples = some_samples(4)
-    reversed_in_time = PathSamples(
-        samples.maps, samples.points.flip(1), samples.psfs, samples.alike
-    )
-    result = figures(
-        Oracle(samples.points),
-        reversed_in_time,
-        draws=2,
-        generator=torch.Generator().manual_seed(0),
-    )
-    assert result.draw > 0.97
-    assert result.best >= result.draw
-    assert result.error_px < 0.01
-    assert result.alike == pytest.approx(1, abs=1e-5)
+def test_turned_paths_have_the_same_distances_and_speeds_run_either_way():
+    motions = some_motions(12)
+    before = points_of(motions.shapes, motions.radii_px)
+    after = points_of(turned(motions.shapes, generator()), motions.radii_px)
+    speeds = [np.linalg.norm(np.diff(points, axis=1), axis=2) for points in (before, after)]
+    backwards = 0
+    for there, here in zip(*speeds, strict=True):
+        runs = [np.allclose(here, way, atol=1e-3) for way in (there, there[::-1])]
+        assert any(runs)
+        backwards += not runs[0]
+    assert 0 < backwards < len(before)
 
 
-def test_a_file_holds_the_best_weights(tmp_path):
-    ticks = iter(range(1000))
+def test_the_loss_is_about_1_for_a_network_that_expects_the_mean():
+    class Nothing(torch.nn.Module):
+        def forward(self, noisy, sigma, radius_px):
+            return torch.zeros_like(noisy)
+
+    shapes = SIGMA_DATA * torch.randn((2000, POINTS - 1, 2), generator=generator(1))
+    sigma = torch.full((2000,), 100.0)  # beneath such noise nothing is seen
+    loss = denoising_loss(Nothing(), shapes, torch.ones(2000), sigma, generator())
+    assert float(loss) == pytest.approx(1, abs=0.02)
+
+
+def test_updates_lower_the_loss_and_the_variances_are_those_of_the_motions():
+    motions = some_motions(200)
+    trainer = PathTrainer(motions, Settings(batch=64, seed=1))
+    before = validation_losses(trainer.average, motions, seed=0)
+    for _ in range(30):
+        trainer.update(share=0.0)
+    after = validation_losses(trainer.network.eval(), motions, seed=0)
+    assert sum(after.values()) < sum(before.values())
+    expected = motions.shapes.square().mean(dim=(0, 2))
+    torch.testing.assert_close(trainer.average.variances, expected)
+
+
+def test_the_file_is_written_at_each_validation_and_holds_the_average(tmp_path):
+    moments = iter(range(0, 1000, 10))
     lines = []
-    samples = some_samples(4)
+    file = tmp_path / "paths.safetensors"
+    settings = Settings(minutes=0.5, batch=8)
     train(
-        samples,
-        samples,
-        clean_points(MIX, count=3, seed=1),
-        tmp_path / "p.safetensors",
-        settings=Settings(**SMALL, minutes=0.1, batch=4),
-        validate_s=2,
-        clock=lambda: float(next(ticks)),
-        report=lines.append,
+        some_motions(),
+        file,
+        settings=settings,
+        validate_s=15,
+        clock=lambda: float(next(moments)),
+        report=lambda line: lines.append((line, file.stat().st_mtime_ns)),
     )
-    card = read_card(tmp_path / "p.safetensors", "lab.paths/1")
-    best = max(float(line.split(" draw ")[1][:5]) for line in lines)
-    assert card["figures"]["draw"] <= best + 1e-3
-    network = Settings(**SMALL).network()
-    network.load_state_dict(read_tensors(tmp_path / "p.safetensors"))
+    assert len(lines) == 2
+    assert lines[0][1] < lines[1][1]
+    assert read_card(file, PATH_SCHEMA)["step"] == 3
+    assert isinstance(load_path_denoiser(file), PathDenoiser)
 
 
-def test_the_commands_prepare_and_train(tmp_path, monkeypatch, capsys):
-    rng = np.random.default_rng(0)
-    (tmp_path / "photos").mkdir()
-    for i in range(12):
-        write_image(tmp_path / "photos" / f"{i:02d}.png", rng.random((330, 330, 3)))
-    config = tmp_path / "run.toml"
-    config.write_text(
-        f'[data]\nphotos = "{tmp_path / "photos"}"\n[motions]\nmax_length_px = 25.0\n',
-        encoding="utf-8",
+def test_the_same_seed_trains_the_same_network():
+    first, again, other = (
+        PathTrainer(some_motions(), Settings(batch=8, seed=seed)) for seed in (0, 0, 1)
     )
-    monkeypatch.setattr(samples_module, "SHARD_PHOTOS", 2)
-    monkeypatch.setattr(
-        samples_module,
-        "photo_kernels",
-        lambda photos, _: (torch.rand(2, 3, 64, 64), torch.randn(2, 64, 64)),
-    )
-    prepare = ["prepare", str(config), "-o"]
-    assert run([*prepare, str(tmp_path / "a"), "--shards", "0:2"]) == 0
-    assert run([*prepare, str(tmp_path / "b"), "--shards", "0:1", "--held-out"]) == 0
-    assert len(read_samples(tmp_path / "a")) == 4
-    target = tmp_path / "p.safetensors"
-    words = ["train", str(tmp_path / "a"), str(tmp_path / "b"), str(config), "-o", str(target)]
-    assert run([*words, "--minutes", "0"]) == 2
-    assert run(["train", str(tmp_path), *words[2:]]) == 2
-    errors = capsys.readouterr().err.splitlines()
-    assert errors[-2] == "error: minutes: must be positive, got 0.0"
-    assert "python -m lab.trainings.paths prepare" in errors[-1]
-    assert not target.exists()
+    losses = [trainer.update(share=0.0) for trainer in (first, again, other)]
+    assert losses[0] == losses[1] != losses[2]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--minutes", "0"], "minutes: must be positive"),
+        (["--batch", "0"], "batch: must be at least 1"),
+        (["--motions", "3"], "--motions: must be at least 10"),
+        ([], "none.txt"),
+    ],
+)
+def test_bad_input_is_refused_in_one_line(tmp_path, capsys, options, message):
+    out = tmp_path / "paths.safetensors"
+    assert run(["train", "--gyro", "none.txt", "-o", str(out), *options]) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert not out.exists()
+
+
+def test_motions_are_drawn_alike_for_a_seed():
+    first, again = some_motions(6), some_motions(6)
+    assert isinstance(first, Motions)
+    torch.testing.assert_close(first.shapes, again.shapes)

@@ -35,7 +35,7 @@ def test_finds_the_blur_of_a_simulated_photo(shaken, estimate):
     assert mnc_subpixel(best.psf(), shaken[1]) > 0.75
     assert best.direction == "unknown"
     assert estimate.confidence > 0.5
-    assert not estimate.warnings
+    assert not estimate.psf_warnings
 
 
 def test_what_it_returns_keeps_the_conventions(estimate):
