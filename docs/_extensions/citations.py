@@ -157,7 +157,7 @@ def cite(methods: Iterable[str] = ()) -> Citations:
     found: dict[str, list[str]] = {}
     unpublished = []
     for given in asked or [SOFTWARE, *(name for name, keys in known.items() if keys), *works()]:
-        name = re.split("[:@]", given)[0]  # of selfdeblur:5000 or motdiff@FILE
+        name = re.split("[:@]", given)[0]  # of selfdeblur:5000 or network@FILE
         if name in works() or name == SOFTWARE:
             found.setdefault(name, []).append(name)
         elif name not in known:

@@ -55,7 +55,7 @@ class SpeedOptions(TableOptions, PhotoOptions):
         "Estimators, as pmp,motdiff; all that take seconds when omitted. Others:"
         " selfdeblur (hours), blinddps:FOLDER of weights, network:ddpm:1000,"
         " network:ddim:10:8 (eight draws), networks:ddim:10:8 (corrected ones),"
-        " motdiff@FILE and network:ddim:10@FILE of other weights, module:name of an"
+        " network:ddim:10@FILE of other weights, module:name of an"
         " estimator of your own.",
         "",
     )

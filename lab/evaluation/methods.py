@@ -115,7 +115,7 @@ class NetworkAlone:
 
 
 def split_weights(method: str) -> tuple[str, Path | None]:
-    """Split ``motdiff@FILE`` or ``network@FILE`` into the method and its file of weights, None
+    """Split ``network@FILE`` into the method and its file of weights, None
     where there is none.
     """
     name, at, file = method.partition("@")
@@ -156,7 +156,7 @@ def _named(method: str) -> Estimator:
     if weights is not None and not weights.is_file():
         raise FileNotFoundError(f"{weights}: no such file of weights")
     if name in blind_methods():
-        return make_method(name, {"weights": weights}).make()
+        return make_method(name, {}).make()
     # of a method of the product with additions, which has none, it says which have
     return RIVALS.get(kind, RIVALS["network"]).make(name, weights)
 
@@ -312,7 +312,7 @@ with the same additions, whose draws are corrected by the second network,
 what it needs."""
 
 METHODS = (*blind_methods(), *RIVALS)
-"""The blind estimators of the product, and those of this laboratory. ``motdiff@FILE`` and
+"""The blind estimators of the product, and those of this laboratory.
 ``network:SAMPLER:STEPS@FILE``, or ``networks``, take other weights of MoTDiff than the
 package's."""
-_WITH_WEIGHTS = ("motdiff", *(name for name, rival in RIVALS.items() if rival.of_motdiff))
+_WITH_WEIGHTS = tuple(name for name, rival in RIVALS.items() if rival.of_motdiff)

@@ -65,16 +65,16 @@ def figures(
         )
 
     paths = [samples.path(number) for number in range(draws)]
-    likeliest, chance = samples.orders()[0]
+    order = samples.orders()[0]
     return {
         "name": shot.name,
         "kind": shot.kind,
         "kernel": mnc_subpixel(kernel, truth),
         "draws": [mnc(path) for path in paths],
-        "likeliest": mnc(likeliest),
+        "likeliest": mnc(order.path),
         "draws_px": [timed_px(path) for path in paths],
-        "likeliest_px": timed_px(likeliest),
-        "chance": chance,
+        "likeliest_px": timed_px(order.path),
+        "stated": order.right,
     }
 
 
@@ -82,16 +82,16 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
     """Lines of the table, a row for each kind of motion and one for all; intervals of 95 %."""
     yield (
         "| motions | photos | kernel | one draw | best of all | best less kernel | likeliest |"
-        " likeliest less kernel | right: one | any | likeliest | its chance |"
+        " likeliest less kernel | right: one | any | likeliest | stated |"
     )
     yield "|---|" + "---:|" * 11
     for kind in (*KINDS, "all"):
         group = [row for row in rows if kind in (row["kind"], "all")]
         if not group:
             continue
-        kernel, likeliest, likeliest_px, chance = (
+        kernel, likeliest, likeliest_px, right_stated = (
             np.array([row[key] for row in group])
-            for key in ("kernel", "likeliest", "likeliest_px", "chance")
+            for key in ("kernel", "likeliest", "likeliest_px", "stated")
         )
         draws, draws_px = (np.array([row[key] for row in group]) for key in ("draws", "draws_px"))
         right = draws_px < _RIGHT_PX
@@ -101,7 +101,7 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
             f" | {best.mean():.3f} | {_interval(best - kernel)} | {likeliest.mean():.3f}"
             f" | {_interval(likeliest - kernel)} | {right[:, 0].mean():.2f}"
             f" | {right.any(axis=1).mean():.2f} | {(likeliest_px < _RIGHT_PX).mean():.2f}"
-            f" | {chance.mean():.2f} |"
+            f" | {right_stated.mean():.2f} |"
         )
 
 

@@ -22,8 +22,9 @@ from motdiff.trajectory import Trajectory
 # less than SAME_KERNEL_MNC: alternatives are other motions, not other estimates of one
 _SAME_MOTION_MNC = 0.8
 _MOST_MOTIONS = 3  # the best, and alternatives
-# of plain paths whose kernel is good, the share that is right to within 1 px, in length and order;
-# of drawn ones it is the probability of their order (docs/decisions/tracing.md)
+_LEAST_CHANCE = 0.02  # of an alternative
+# of plain paths whose kernel is good, the share that is right to within 1 px, in length and order
+# (docs/decisions/tracing.md)
 _PLAIN_RIGHT = 0.9
 _BENT_TURNS = 1.3
 _BENT_RIGHT = 0.3
@@ -81,8 +82,9 @@ def described(
         (simplest_trajectory(without_faint_parts(kernels[i])), float(candidates.probabilities[i]))
         for i in chosen[1:]
     ]
-    likeliest = sorted(motions[1:], key=lambda motion: -motion[1])[: _MOST_MOTIONS - 1]
-    motions = [motions[0], *likeliest]
+    likely = [motion for motion in motions[1:] if motion[1] >= _LEAST_CHANCE]
+    likely.sort(key=lambda motion: -motion[1])
+    motions = [motions[0], *likely[: _MOST_MOTIONS - 1]]
     trajectories = [path.scaled(factor) if factor > 1 else path for path, _ in motions]
     weights = np.array([weight for _, weight in motions])
     weights = weights / weights.sum()
@@ -149,7 +151,7 @@ def _paths_of(
     from motdiff.weights import load_path_denoiser
 
     orders = draw_paths(load_path_denoiser(), kernel, count=_DRAWS, rng=rng).orders()
-    return _KernelPaths(orders, orders[0][1])
+    return _KernelPaths(tuple((order.path, order.chance) for order in orders), orders[0].right)
 
 
 # -- estimates without a judgement -------------------------------------------------------------

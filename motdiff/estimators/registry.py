@@ -71,8 +71,8 @@ def make_method(name: str, options: Mapping[str, Any]) -> Method:
 
     Examples
     --------
-    >>> make_method("motdiff", {"samples": 4})
-    MotDiff(samples=4, weights=None)
+    >>> make_method("motdiff", {})
+    MotDiff()
     """
     values = {key: value for key, value in options.items() if value is not None}
     check_options(name, values)

@@ -44,6 +44,30 @@ _EVIDENCE_SIGMAS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4)
 _EVIDENCE_NOISES = 8
 _TEMPERATURE = 10.0
 _SAME_ORDER_PX = 1.0  # rms distance at equal times
+# Log odds that the likeliest order is right, by its own and by the surprise: rare motions can be
+# run through in many ways (332 kernels, docs/decisions/tracing.md).
+_RIGHT = (0.41, -0.0608, 3.0)
+_LEAST_CHANCE = 1e-3
+
+
+@dataclass(frozen=True)
+class PathOrder:
+    """An order in time along a kernel.
+
+    Attributes
+    ----------
+    path : Trajectory
+        Its likeliest draw, of unknown direction.
+    chance : float
+        Of it among the orders drawn, which sum to 1.
+    right : float
+        Probability that the path is the motion, to 1 px rms at equal times in either direction, if
+        the kernel is good.
+    """
+
+    path: Trajectory
+    chance: float
+    right: float
 
 
 @dataclass(frozen=True)
@@ -56,35 +80,52 @@ class DrawnPaths:
         Of the orthonormal discrete cosine transform of 64 positions at equal times.
     likeness : (K,) float
         Correlation of the paths' PSFs with the kernel.
-    probabilities : (K,) float
-        Of each to be the motion, if one of them is; sum 1.
+    surprise : (K,) float
+        Negative log density of each by the model, but for a constant.
     """
 
     coefficients: FloatArray
     likeness: FloatArray
-    probabilities: FloatArray
+    surprise: FloatArray
+
+    @property
+    def probabilities(self) -> FloatArray:
+        """Probability (K,) of each to be the motion, if one of them is."""
+        error = 1 - self.likeness**2 + _FLOOR
+        cost = 0.5 * _EVIDENCE_COUNT * np.log(error) + self.surprise
+        odds = np.exp(-(cost - cost.min()) / _TEMPERATURE)
+        return np.asarray(odds / odds.sum(), dtype=np.float64)
 
     def path(self, draw: int) -> Trajectory:
         """Trajectory of a draw, of unknown direction."""
         t = np.linspace(0, 1, _SAMPLES)
         return Trajectory.from_samples(_cosines(t) @ self.coefficients[draw], t=t)
 
-    def orders(self) -> tuple[tuple[Trajectory, float], ...]:
-        """Different orders in time, likeliest first, each with its probability.
+    def orders(self) -> tuple[PathOrder, ...]:
+        """Different orders in time, likeliest first.
 
-        An order is shown by its likeliest draw. Draws are of one order where they lie within 1 px
-        rms at equal times, in either direction.
+        Draws are of one order where they lie within 1 px rms at equal times, in either direction.
         """
         alike = _distances_px(self.coefficients) <= _SAME_ORDER_PX
+        probabilities = self.probabilities
         unassigned = np.ones(len(alike), dtype=bool)
         orders = []
         while unassigned.any():
-            order_chance = np.where(unassigned, (alike & unassigned) @ self.probabilities, -1)
+            order_chance = np.where(unassigned, (alike & unassigned) @ probabilities, -1)
             members = alike[np.argmax(order_chance)] & unassigned
-            likeliest = int(np.argmax(np.where(members, self.probabilities, -1)))
-            orders.append((self.path(likeliest), float(self.probabilities[members].sum())))
+            likeliest = int(np.argmax(np.where(members, probabilities, -1)))
+            chance = float(probabilities[members].sum())
+            right = _chance_right(chance, float(self.surprise[likeliest]))
+            orders.append(PathOrder(self.path(likeliest), chance, right))
             unassigned &= ~members
-        return tuple(sorted(orders, key=lambda order: -order[1]))
+        return tuple(sorted(orders, key=lambda order: -order.chance))
+
+
+def _chance_right(chance: float, surprise: float) -> float:
+    by_chance, by_surprise, offset = _RIGHT
+    clipped = min(max(chance, _LEAST_CHANCE), 1 - _LEAST_CHANCE)
+    log_odds = by_chance * np.log(clipped / (1 - clipped)) + by_surprise * surprise + offset
+    return float(1 / (1 + np.exp(-log_odds)))
 
 
 def draw_paths(
@@ -127,10 +168,8 @@ def draw_paths(
     shifts, shapes = last.led(shifts, shapes, steps=_LAST_STEPS)
     coefficients = np.concatenate([shifts, shapes], axis=1)
     likeness = np.array([last.likeness(draw) for draw in coefficients])
-    error = 1 - likeness**2 + _FLOOR
-    cost = 0.5 * _EVIDENCE_COUNT * np.log(error) + _surprise(denoiser, shapes, radius_px, rng)
-    odds = np.exp(-(cost - cost.min()) / _TEMPERATURE)
-    return DrawnPaths(radius_px * coefficients, likeness, odds / odds.sum())
+    surprise = _surprise(denoiser, shapes, radius_px, rng)
+    return DrawnPaths(radius_px * coefficients, likeness, surprise)
 
 
 def _surprise(

@@ -10,7 +10,7 @@ from lab.evaluation.methods import METHODS, RIVALS, named_estimators, split_weig
 from lab.jobs.fingerprint import source_version
 from motdiff.estimators.registry import blind_methods
 from motdiff.files.plugins import is_reference
-from motdiff.weights import CORRECTION_WEIGHTS, DEFAULT_WEIGHTS
+from motdiff.weights import CORRECTION_WEIGHTS, DEFAULT_WEIGHTS, PATH_WEIGHTS
 
 USUAL = (
     *blind_methods(),
@@ -26,7 +26,7 @@ SMALL_BUDGETS = {name: rival.samples for name, rival in RIVALS.items() if rival.
 network."""
 
 _WEIGHTS = {
-    "motdiff": DEFAULT_WEIGHTS,
+    "motdiff": PATH_WEIGHTS,
     **{
         name: DEFAULT_WEIGHTS if rival.of_motdiff else rival.weights
         for name, rival in RIVALS.items()

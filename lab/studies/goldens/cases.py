@@ -274,7 +274,7 @@ CASES = [
         "calibrate-pmp-folder-json",
         "cep calibrate shots --method pmp -o motions_new --workers 1 --json",
     ),
-    Case("calibrate-motdiff-json", "cep calibrate open.png --samples 1 -o motion --json"),
+    Case("calibrate-motdiff-json", "cep calibrate open.png -o motion --json"),
     Case(
         "calibrate-reference",
         "cep calibrate open.png --method reference --sharp sharp.png -o motion",

@@ -162,8 +162,8 @@ def test_a_photo_that_is_too_small_fails_before_an_estimator_is_made(
 ):
     made = []
 
-    def make(progress):
-        made.append(progress)
+    def make(seed, progress):
+        made.append((seed, progress))
         return guesses(None)
 
     monkeypatch.setattr("motdiff.estimators.pmp.estimator.PmpEstimator", make)
@@ -423,7 +423,6 @@ def broken_sharp():
         ((), broken_sharp, "sharp.png: not a PNG, JPEG, TIFF or WebP image"),
         (("--sharp", "nowhere.png"), None, "nowhere.png"),
         (("--method", "pmp"), None, "--sharp: not valid with --method pmp"),
-        (("--samples", "3"), None, "--samples: not valid with --method reference"),
         (("--method", "magic"), None, "method: must be one of"),
         (("--gamma", "9"), None, "gamma: must be"),
         (("--workers", "0"), None, "--workers"),

@@ -431,7 +431,7 @@ def test_existing_outputs_are_kept(refused, cep, workplace, command):
     ("command", "options", "named"),
     [
         ("calibrate", ["--method", "zzz"], "method"),
-        ("calibrate", ["--samples", "3"], "samples"),
+        ("calibrate", ["--focal", "3"], "focal"),
         ("calibrate", ["--gamma", "7"], "gamma"),
         ("optimize", ["--objective", "beauty"], "objective"),
         ("audit", ["--linear", "0.5"], "chips"),

@@ -577,11 +577,11 @@ def test_a_file_of_weights_counts_by_its_content_and_is_named_without_its_place(
     assert version_of(method) != first
     monkeypatch.setattr("lab.bench.blind.methods.named_estimators", lambda _: {})
     monkeypatch.chdir(tmp_path)
-    assert select_methods(["motdiff@run.safetensors"]) == ((f"motdiff@{file}",), [])
+    assert select_methods(["network@run.safetensors"]) == ((f"network@{file}",), [])
     with pytest.raises(
-        ValueError, match=r"every one must come once, motdiff@run\.safetensors comes twice"
+        ValueError, match=r"every one must come once, network@run\.safetensors comes twice"
     ):
-        select_methods(["motdiff@run.safetensors", f"motdiff@{file}"])
+        select_methods(["network@run.safetensors", f"network@{file}"])
 
 
 def test_methods_are_checked_before_the_work(monkeypatch, tmp_path):

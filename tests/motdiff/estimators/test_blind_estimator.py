@@ -12,6 +12,7 @@ from threadpoolctl import threadpool_info
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.blind_estimator import BlindEstimator, without_lights
 from motdiff.metrics import mnc_subpixel
+from motdiff.network.path_drawing import PathOrder
 from motdiff.photo_values import exposure_gain
 from motdiff.psf_frame import without_faint_parts
 from motdiff.simulate import blur_valid
@@ -439,10 +440,12 @@ def drawing(monkeypatch):
     """Let the model draw orders in time with their chances; returns what it was asked."""
     asked = []
 
-    def draw_these(*orders):
+    def draw_these(*orders, right=0.7):
+        drawn = tuple(PathOrder(path, chance, right) for path, chance in orders)
+
         def draw(_denoiser, _kernel, *, count, rng):
             asked.append((count, rng.random()))
-            return SimpleNamespace(orders=lambda: orders)
+            return SimpleNamespace(orders=lambda: drawn)
 
         monkeypatch.setattr(
             "motdiff.estimators.description.plain_trajectory", lambda *_, **__: None
@@ -459,7 +462,7 @@ TWO_ORDERS = (Trajectory.straight(12.0), Trajectory.straight(12.0, angle_rad=1.0
 @pytest.mark.parametrize("factor", [1, 2])
 def test_the_orders_drawn_share_the_kernel_s_weight(drawing, factor):
     first, second = TWO_ORDERS
-    drawing((first, 0.75), (second, 0.25))
+    drawing((first, 0.75), (second, 0.25), right=0.6)
     up = line(9, angle_rad=np.pi / 2)
     search = FakeSearch((line(13), 0.8), others=[(up, 0.3)])
     side = 100
@@ -471,13 +474,13 @@ def test_the_orders_drawn_share_the_kernel_s_weight(drawing, factor):
     np.testing.assert_allclose(estimate.trajectories[-1].xy, factor * second.xy)
     weights = np.array([0.6, 0.2] if factor > 1 else [0.6, 0.3, 0.2])
     assert estimate.weights == pytest.approx(weights / weights.sum())
-    assert estimate.details["path_confidence"] == pytest.approx(0.8 * 0.75)
+    assert estimate.details["path_confidence"] == pytest.approx(0.8 * 0.6)
     assert estimate.warnings == () or factor > 1
 
 
 def test_an_order_in_doubt_is_said_unless_the_whole_estimate_is_lost(drawing):
     first, second = TWO_ORDERS
-    drawing((first, 0.4), (second, 0.3), (second, 0.3))
+    drawing((first, 0.9), (second, 0.1), right=0.4)
     estimate, _ = found_in(noise(100, 100), FakeSearch((line(13), 0.98)))
     (said,) = estimate.warnings
     assert "does not tell the order in time" in said

@@ -49,9 +49,9 @@ def test_draws_have_the_kernel_as_their_psf(denoiser):
 
 
 def test_a_motion_that_crosses_itself_nowhere_is_drawn_in_order_and_in_time(denoiser):
-    path, chance = drawn(denoiser, bend().psf(64), count=8).orders()[0]
-    assert chance > 0.5
-    assert timed_px(path, bend()) < 0.7  # of 20 px
+    order = drawn(denoiser, bend().psf(64), count=8).orders()[0]
+    assert order.right > 0.5
+    assert timed_px(order.path, bend()) < 0.7  # of 20 px
 
 
 def test_draws_differ_and_repeat_with_their_seed(denoiser):
@@ -65,7 +65,7 @@ def test_draws_differ_and_repeat_with_their_seed(denoiser):
 def test_a_kernel_anywhere_in_its_frame_has_the_same_path_moved(denoiser):
     psf = bend().psf(64)
     middle, aside = (
-        drawn(denoiser, kernel).orders()[0][0]
+        drawn(denoiser, kernel).orders()[0].path
         for kernel in (psf, np.roll(psf, (4, -3), axis=(0, 1)))
     )
     moved = Trajectory.from_samples(middle.xy + np.array([-3.0, 4.0]), t=middle.t)
@@ -79,10 +79,10 @@ def test_any_kernel_has_a_path(denoiser, kernel):
     assert 0 < draws.likeness[0] <= 1 + 1e-6
 
 
-def several(paths, probabilities):
-    """Draws of cosine coefficients (64, 2), px."""
+def several(paths, surprise):
+    """Draws of cosine coefficients (64, 2), px, all as alike to the kernel."""
     return DrawnPaths(
-        np.array(paths, dtype=float), np.full(len(paths), 0.9), np.array(probabilities)
+        np.array(paths, dtype=float), np.full(len(paths), 0.9), np.array(surprise, dtype=float)
     )
 
 
@@ -93,28 +93,48 @@ def straight(length_px=10.0, bend_px=0.0):
     return coefficients
 
 
+def test_draws_that_surprise_less_or_are_more_alike_are_likelier():
+    expected, rare = several([straight(), straight(bend_px=30)], [20, 60]).probabilities
+    assert expected > rare
+    draws = DrawnPaths(np.stack([straight(), straight()]), np.array([0.99, 0.9]), np.zeros(2))
+    assert draws.probabilities[0] > 0.5
+    assert draws.probabilities.sum() == pytest.approx(1)
+
+
 def test_draws_of_one_order_are_counted_together_and_shown_by_the_likeliest():
     draws = several(
-        [straight(), straight(bend_px=30), straight(10.5), straight(9.7)], [0.1, 0.4, 0.3, 0.2]
+        [straight(), straight(bend_px=30), straight(10.5), straight(9.7)], [40, 30, 31, 35]
     )
-    (path, chance), (rival, rival_chance) = draws.orders()
-    assert (chance, rival_chance) == pytest.approx((0.6, 0.4))
-    np.testing.assert_allclose(path.xy, draws.path(2).xy)
-    np.testing.assert_allclose(rival.xy, draws.path(1).xy)
+    order, rival = draws.orders()
+    expected = draws.probabilities
+    assert order.chance == pytest.approx(1 - expected[1])
+    assert rival.chance == pytest.approx(expected[1])
+    np.testing.assert_allclose(order.path.xy, draws.path(2).xy)
+    np.testing.assert_allclose(rival.path.xy, draws.path(1).xy)
 
 
 def test_a_path_and_its_reverse_are_one_order():
     backwards = straight(bend_px=5) * np.where(np.arange(64) % 2, -1, 1)[:, None]
-    draws = several([straight(bend_px=5), backwards], [0.6, 0.4])
-    assert [chance for _, chance in draws.orders()] == pytest.approx([1.0])
+    draws = several([straight(bend_px=5), backwards], [30, 33])
+    assert [order.chance for order in draws.orders()] == pytest.approx([1.0])
     np.testing.assert_allclose(draws.path(1).xy, draws.path(0).xy[::-1], atol=1e-9)
+
+
+def test_an_order_is_surer_the_less_it_surprises_and_the_fewer_rivals_it_has():
+    simple, rare, rivalled = (
+        several(paths, surprise).orders()[0].right
+        for paths, surprise in (
+            ([straight()], [20]),
+            ([straight()], [90]),
+            ([straight(), straight(bend_px=30)], [20, 21]),
+        )
+    )
+    assert 0 < rare < rivalled < simple < 1
 
 
 @given(st.lists(st.floats(-40, 40), min_size=1, max_size=9))
 def test_chances_of_orders_sum_to_one(bends):
-    draws = several(
-        [straight(bend_px=bend) for bend in bends], np.full(len(bends), 1 / len(bends))
-    )
-    chances = [chance for _, chance in draws.orders()]
+    draws = several([straight(bend_px=bend) for bend in bends], np.full(len(bends), 30))
+    chances = [order.chance for order in draws.orders()]
     assert sum(chances) == pytest.approx(1)
     assert chances == sorted(chances, reverse=True)
