@@ -26,7 +26,7 @@ from motdiff.network.correction import CorrectionNetwork, corrected_kernel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
 from motdiff.photo_noise import noise_sigma, shared_sigma
 from motdiff.progress import Progress
-from motdiff.psf_frame import ODD_PX, in_frame
+from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 from motdiff.weights import load_correction
@@ -112,14 +112,18 @@ class MotDiffEstimator(BlindEstimator):
         origins = ["search"] * _PAIR
         if halved is not None:
             progress.expect_more(_HALVED_COST)
-            enlarged = self._searched_at_half(halved(), progress)
+            small = self._searched_at_half(halved(), progress)
+            enlarged = enlarged_kernel(small)
             if enlarged is not None:
                 rival = pair[int(np.argmax(kernel_score(judge.evidence(pair))))]
+                third = corrected_kernel(
+                    self._correction, crops, enlarged, [rival], sigma=judge.sigma
+                )
+                if mnc_subpixel(_halved(third), small) < _AGREED_MNC:
+                    third = enlarged  # the photo at half its size contradicts the correction
                 kernels.append(enlarged)
                 origins.append("search at half the size")
-                better.append(
-                    corrected_kernel(self._correction, crops, enlarged, [rival], sigma=judge.sigma)
-                )
+                better.append(third)
                 scores = kernel_score(judge.evidence(better))
         agreement = max(mnc_subpixel(*two) for two in itertools.combinations(better, 2))
         return FoundKernels(
@@ -131,15 +135,13 @@ class MotDiffEstimator(BlindEstimator):
             corrected=tuple(better),
         )
 
-    def _searched_at_half(self, halved: FloatArray, progress: Progress) -> FloatArray | None:
-        """Kernel (63, 63) of the photo's crops at half its size, enlarged; None if it outgrows
-        the frame.
-        """
+    def _searched_at_half(self, halved: FloatArray, progress: Progress) -> FloatArray:
+        """Better one of two corrected kernels of the photo's crops at half its size."""
         pair = PmpEstimator(starts=STARTS[:_PAIR]).kernels(halved, progress=progress)
         judge = Judge(halved, sigma=shared_sigma(halved))
         better = corrected_pair(self._correction, halved, pair, sigma=judge.sigma)
         progress.spend(_HALVED_COST - _PAIR)
-        return enlarged_kernel(better[int(np.argmax(kernel_score(judge.evidence(better))))])
+        return better[int(np.argmax(kernel_score(judge.evidence(better))))]
 
     def single(
         self,
@@ -247,6 +249,12 @@ def enlarged_kernel(kernel: FloatArray) -> FloatArray | None:
     if light < _LEAST_INSIDE * 4 * float(kernel.sum()):  # each pixel becomes four
         return None
     return np.asarray(enlarged / light, dtype=np.float64)
+
+
+def _halved(kernel: FloatArray) -> FloatArray:
+    """Bin a kernel (63, 63) to (32, 32), as pixels of a photo at half its size."""
+    binned = in_frame(kernel).reshape(PSF_PX // 2, 2, PSF_PX // 2, 2)
+    return np.asarray(binned.sum(axis=(1, 3)), dtype=np.float64)
 
 
 def in_odd_frames(kernels: Sequence[FloatArray]) -> list[FloatArray]:
