@@ -96,16 +96,10 @@ class PmpEstimator(BlindEstimator):
         details: dict[str, object] = {"starts": len(kernels), "agreement": ranking.agreement}
         return FoundKernels(tuple(kernels), ranking.probabilities, ranking.best, details)
 
-    def kernels(
-        self,
-        crops: FloatArray,
-        *,
-        progress: Progress,
-        agreed: Callable[[Sequence[FloatArray]], bool] = alike,
-    ) -> list[FloatArray]:
+    def kernels(self, crops: FloatArray, *, progress: Progress) -> list[FloatArray]:
         """Search kernels (size, size), sum 1, of crops (C, H, W) from each start.
 
-        From the first two alone where their kernels have ``agreed``. A start costs 1 of the
+        From the first two alone where their kernels are alike. A start costs 1 of the
         ``progress``, :func:`planned` in all.
         """
         jobs = [
@@ -114,7 +108,7 @@ class PmpEstimator(BlindEstimator):
         ]
         kernels = side_by_side(jobs[:2])
         if len(jobs) > 2:
-            enough = agreed(kernels)
+            enough = alike(kernels)
             progress.expect_more((2 if enough else len(jobs)) - planned(len(jobs)))
             if not enough:
                 kernels += side_by_side(jobs[2:])
