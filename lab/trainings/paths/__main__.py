@@ -35,11 +35,13 @@ def _train(options: argparse.Namespace) -> None:
     import torch
 
     from lab.trainings.paths.training import Settings, simulated, train
+    from motdiff.files.gyro_tables import read_gyro
     from motdiff.training.motion_bank import MotionMix
 
     settings = Settings(minutes=options.minutes, batch=options.batch, seed=options.seed)
     if options.motions < 10:
         raise ValueError(f"--motions: must be at least 10, got {options.motions}")
+    read_gyro(options.gyro)  # refused before five minutes of simulation
     mix = MotionMix(
         boracchi_foi=0.40,
         boracchi_foi_short=0.10,
