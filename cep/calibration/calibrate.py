@@ -200,7 +200,7 @@ def estimate_motion(
         Called with the finished share 0..1 of loading and estimating, and what is being done, by
         methods that take long.
     **options
-        Those of the method: ``samples`` of "motdiff"; ``sharp`` of "reference", a sharp photo as
+        Those of the method: ``sharp`` of "reference", a sharp photo as
         an array; ``gyro``, ``focal_px``, ``start_s``, ``exposure_s`` and ``axes`` of "gyro", as of
         :class:`motdiff.estimators.gyro.estimator.GyroEstimator`.
 

@@ -38,7 +38,6 @@ _SEVERAL_END = 0.96  # of several photos only the first is drawn and restored
 
 # types of the options' values as typer reads them
 _TYPES: Mapping[Kind, Any] = {
-    "count": int,
     "number": float,
     "text": str,
     "duration": str,
@@ -73,7 +72,6 @@ def _method_field(name: str, declared: Option) -> tuple[str, Any, Any]:
         declared.metavar,
         declared.help,
         panel=f"With --method {owners[0]}" if len(owners) == 1 else None,
-        min=1 if declared.kind == "count" else None,
         show_default=declared.shown_default or False,
     )
     return name, _TYPES[declared.kind] | None, field

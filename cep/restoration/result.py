@@ -35,7 +35,7 @@ class Restoration:
     psf : (S, S) float ndarray
         Light-true PSF that it was restored with; a point where the photo was kept.
     psf_source : {"given", "trajectory", "photo", "path in the photo"} or None
-        Of a photo alone: whether the PSF found in it was used, or that of the path traced through
+        Of a photo alone: whether the PSF found in it was used, or that of the path drawn for
         it. None where the photo was kept.
     psf_confidence : float or None
         Probability that a PSF found in the photo alone is a good one; None where PSF or trajectory

@@ -77,9 +77,13 @@ def described(
             chosen.append(int(i))
     best = _paths_of(candidates, plain_mnc, rng)
     motions = [(path, candidates.confidence * chance) for path, chance in best.orders]
+    # the order along another kernel is no surer, and its noise would lengthen the path
+    first_chance = best.orders[0][1]
     motions += [
-        # a kernel's noise would lengthen its path
-        (simplest_trajectory(without_faint_parts(kernels[i])), float(candidates.probabilities[i]))
+        (
+            simplest_trajectory(without_faint_parts(kernels[i])),
+            float(candidates.probabilities[i]) * first_chance,
+        )
         for i in chosen[1:]
     ]
     likely = [motion for motion in motions[1:] if motion[1] >= _LEAST_CHANCE]

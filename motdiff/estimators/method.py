@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
     from motdiff.estimators.base import Estimator
 
-Kind = Literal["count", "number", "text", "duration", "photo", "gyro", "codes"]
+Kind = Literal["number", "text", "duration", "photo", "gyro", "codes"]
 """What an option's value is on the command line. The last three are read from files: a photo as
 an array in linear light, a gyroscope's recording, and the code of each blurred photo."""
 

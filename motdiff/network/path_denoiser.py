@@ -31,7 +31,7 @@ class PathDenoiser(nn.Module):
     Attributes
     ----------
     variances : (63,) buffer
-        Mean squares of the coefficients of the training's paths, for each axis.
+        Mean squares of the coefficients of the training's paths, the mean of both axes.
     """
 
     variances: Tensor

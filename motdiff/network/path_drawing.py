@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize
+from scipy import optimize, special
 
 from motdiff.network.path_denoiser import POINTS, PathDenoiser
 from motdiff.tracing.path_otf import KernelLikeness, PathOtf, path_moments
@@ -22,7 +22,7 @@ from motdiff.types import FloatArray
 
 _NODES = 128
 _SAMPLES = 241  # of a trajectory
-_FRAME_PX = 64  # a period that holds the kernels
+_FRAME_PX = 64  # a period that holds most kernels
 _LEVELS = 16
 _LARGEST_SIGMA = 12.0
 _SMALLEST_SIGMA = 0.03
@@ -61,8 +61,8 @@ class PathOrder:
     chance : float
         Of it among the orders drawn, which sum to 1.
     right : float
-        Probability that the path is the motion, to 1 px rms at equal times in either direction, if
-        the kernel is good.
+        Probability that the path is the motion, to 1 px of the kernel rms at equal times in either
+        direction, if the kernel is good.
     """
 
     path: Trajectory
@@ -123,9 +123,8 @@ class DrawnPaths:
 
 def _chance_right(chance: float, surprise: float) -> float:
     by_chance, by_surprise, offset = _RIGHT
-    clipped = min(max(chance, _LEAST_CHANCE), 1 - _LEAST_CHANCE)
-    log_odds = by_chance * np.log(clipped / (1 - clipped)) + by_surprise * surprise + offset
-    return float(1 / (1 + np.exp(-log_odds)))
+    chance_log_odds = special.logit(np.clip(chance, _LEAST_CHANCE, 1 - _LEAST_CHANCE))
+    return float(special.expit(by_chance * chance_log_odds + by_surprise * surprise + offset))
 
 
 def draw_paths(
@@ -142,6 +141,11 @@ def draw_paths(
     count : int
         Number of draws.
 
+    Raises
+    ------
+    ValueError
+        If there is no draw to make, or the kernel is no finite, non-negative array with light.
+
     Notes
     -----
     Decoupled annealing (Zhang, Chu, Berner, Meng, Anandkumar, Song, "Improving diffusion inverse
@@ -149,7 +153,11 @@ def draw_paths(
     the denoised path is led to the kernel, within what the level leaves open of each coefficient,
     and noise of the next level is added. Its Langevin steps are a descent here.
     """
+    if count < 1:
+        raise ValueError(f"count: must be at least 1, got {count}")
     light = np.asarray(kernel, dtype=np.float64)
+    if not (np.isfinite(light).all() and light.min() >= 0 and light.any()):
+        raise ValueError("kernel: must be finite and non-negative, with some light")
     light = light / light.sum()
     middle, spread = path_moments(light)
     radius_px = float(np.sqrt(np.trace(spread)))
@@ -163,7 +171,8 @@ def draw_paths(
         noisy = shapes + sigma * rng.standard_normal(shapes.shape)
         fit = _KernelFit(light, denoiser, radius_px, sigma=sigma)
         shifts, shapes = fit.led(shifts, noisy, steps=_STEPS)
-    # a rougher path than the finest level allows may explain the kernel better
+    # the last paths are smoothed as if they were so noisy, and may then be as rough: what the
+    # kernel does not ask for goes
     last = _KernelFit(light, denoiser, radius_px, sigma=_LAST_SIGMA, blur_px=0.0)
     shifts, shapes = last.led(shifts, shapes, steps=_LAST_STEPS)
     coefficients = np.concatenate([shifts, shapes], axis=1)
@@ -175,11 +184,11 @@ def draw_paths(
 def _surprise(
     denoiser: PathDenoiser, shapes: FloatArray, radius_px: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Negative log density (K,), but for a constant, of shapes (K, 63, 2) by the model.
+    """Negative log density (K,) of shapes (K, 63, 2) by the model, down to its least noise level.
 
-    It is the integral over the log of the noise level of the mean squared error of denoising, in
-    variances of the noise (Kong, Brekelmans, Ver Steeg, "Information-theoretic diffusion", ICLR
-    2023, equation 9), over the same noise for all shapes.
+    It is, but for a constant, the integral over the log of the noise level of the mean squared
+    error of denoising, in variances of the noise (Kong, Brekelmans, Ver Steeg,
+    "Information-theoretic diffusion", ICLR 2023, equation 9), over the same noise for all shapes.
     """
     sigmas = np.repeat(_EVIDENCE_SIGMAS, _EVIDENCE_NOISES)
     noise = sigmas[:, None, None, None] * rng.standard_normal((len(sigmas), 1, *shapes.shape[1:]))
@@ -227,8 +236,9 @@ class _KernelFit:
             point_error_px = radius_px * float(np.sqrt(open_squares.sum() / POINTS))
             blur_px = min(point_error_px, _MOST_BLURRED_PX)
         band_cy_px = min(0.5, 0.05 + 0.45 / max(blur_px, 0.1))
-        rows = np.sort(np.fft.fftfreq(_FRAME_PX)).astype(np.float64)
-        columns = np.fft.rfftfreq(_FRAME_PX).astype(np.float64)
+        period_px = _FRAME_PX if len(kernel) <= _FRAME_PX else 2 * len(kernel)
+        rows = np.sort(np.fft.fftfreq(period_px)).astype(np.float64)
+        columns = np.fft.rfftfreq(period_px).astype(np.float64)
         fy, fx = rows[np.abs(rows) <= band_cy_px], columns[columns <= band_cy_px]
         self._denoiser = denoiser
         self._radius_px = radius_px

@@ -26,7 +26,7 @@ SMALL_BUDGETS = {name: rival.samples for name, rival in RIVALS.items() if rival.
 network."""
 
 _WEIGHTS = {
-    "motdiff": PATH_WEIGHTS,
+    **dict.fromkeys(blind_methods(), PATH_WEIGHTS),  # their paths are drawn
     **{
         name: DEFAULT_WEIGHTS if rival.of_motdiff else rival.weights
         for name, rival in RIVALS.items()

@@ -39,8 +39,6 @@ def _train(options: argparse.Namespace) -> None:
     from motdiff.training.motion_bank import MotionMix
 
     settings = Settings(minutes=options.minutes, batch=options.batch, seed=options.seed)
-    if options.motions < 10:
-        raise ValueError(f"--motions: must be at least 10, got {options.motions}")
     read_gyro(options.gyro)  # refused before five minutes of simulation
     mix = MotionMix(
         boracchi_foi=0.40,

@@ -196,7 +196,14 @@ def train(
         Seconds.
     report : callable
         Called with a line at every validation.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than ten motions.
     """
+    if len(motions) < 10:
+        raise ValueError(f"motions: need at least 10 that move, got {len(motions)}")
     held_out = min(_HELD_OUT, len(motions) // 10)
     train_count = len(motions) - held_out
     trainer = PathTrainer(

@@ -24,9 +24,10 @@ from motdiff.estimators.simple_motion import simple_motion
 from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
 from motdiff.network.correction import CorrectionNetwork, corrected_kernel
 from motdiff.network.physics_maps import QUICK_STARTS, quick_kernels
+from motdiff.network.sampling import DOUBT
 from motdiff.photo_noise import noise_sigma, shared_sigma
 from motdiff.progress import Progress
-from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame
+from motdiff.psf_frame import ODD_PX, PSF_PX, in_frame, without_faint_light
 from motdiff.threads import side_by_side
 from motdiff.types import FloatArray
 from motdiff.weights import load_correction
@@ -36,7 +37,7 @@ _CORRECT_PAIR_COST = 0.8
 _HALVED_COST = 2.6
 _SINGLE_COST = 0.35
 _CORRECT_COST = 0.3
-_TRACE_COST = 0.6
+_PATH_COST = 0.6
 _PAIR = 2  # searches that are compared
 _CORRECTED = 3  # kernels of several photos together
 # Two corrected kernels are the photo's from this MNC and score on; the probability of one to be
@@ -57,8 +58,8 @@ class MotDiffEstimator(BlindEstimator):
     (:mod:`motdiff.network.correction`). Where these differ, or the photo contradicts them, two
     searches of the photo at half its size give a third. The photo chooses among them
     (:mod:`motdiff.estimators.kernel_score`). A simple motion that is as likely takes the kernel's
-    place (:mod:`motdiff.estimators.simple_motion`); or else paths are drawn for it
-    (:mod:`motdiff.network.path_drawing`), and their commonest order is the motion's.
+    place (:mod:`motdiff.estimators.simple_motion`), or a quadratic path that has it; or else paths
+    are drawn for it (:mod:`motdiff.network.path_drawing`), and their likeliest order is taken.
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ class MotDiffEstimator(BlindEstimator):
         self, crops: FloatArray, progress: Progress, halved: Callable[[], FloatArray] | None = None
     ) -> FoundKernels:
         """Search kernels of the crops (C, H, W), correct them, and let the photo choose."""
-        at_the_end = _CORRECT_COST + _TRACE_COST + (_SINGLE_COST if len(crops) > 1 else 0.0)
+        at_the_end = _CORRECT_COST + _PATH_COST + (_SINGLE_COST if len(crops) > 1 else 0.0)
         progress.expect(_PAIR + _CORRECT_PAIR_COST + at_the_end)
         pair = PmpEstimator(starts=STARTS[:_PAIR]).kernels(crops, progress=progress)
         judge = Judge(crops, sigma=shared_sigma(crops))
@@ -159,7 +160,9 @@ class MotDiffEstimator(BlindEstimator):
     def corrected(
         self, crops: FloatArray, candidates: FoundKernels, progress: Progress
     ) -> FoundKernels:
-        """Correct the likeliest kernels, choose anew, and take a simple motion as likely."""
+        """Take the corrected kernels, or correct those that several photos share; a simple motion
+        as likely takes the best one's place.
+        """
         if candidates.corrected:
             better = replace(candidates, kernels=candidates.corrected)
         else:
@@ -258,5 +261,6 @@ def _halved(kernel: FloatArray) -> FloatArray:
 
 
 def in_odd_frames(kernels: Sequence[FloatArray]) -> list[FloatArray]:
-    """Kernels in frames of 63 px."""
-    return [in_frame(kernel, ODD_PX) for kernel in kernels]
+    """Kernels in frames of 63 px, exactly 0 off the path, sum 1."""
+    bright = [without_faint_light(in_frame(kernel, ODD_PX), below=DOUBT) for kernel in kernels]
+    return [kernel / kernel.sum() for kernel in bright]

@@ -34,7 +34,7 @@ _DISAGREE = 0.4  # share of photos with more starts than two
 _RANK_COST = 0.05
 _REFINE_COST = 0.15
 _SINGLE_COST = 1.4
-_TRACE_COST = 0.25
+_PATH_COST = 0.25
 
 
 def alike(pair: Sequence[FloatArray]) -> bool:
@@ -86,7 +86,7 @@ class PmpEstimator(BlindEstimator):
         """Run the starts on the crops (C, H, W) and refine the best once more."""
         single = _SINGLE_COST if len(crops) > 1 else 0.0
         progress.expect(
-            planned(len(self._starts)) + _RANK_COST + _REFINE_COST + single + _TRACE_COST
+            planned(len(self._starts)) + _RANK_COST + _REFINE_COST + single + _PATH_COST
         )
         kernels = self.kernels(crops, progress=progress)
         ranking = rank_kernels(crops, kernels)

@@ -472,10 +472,19 @@ def test_the_orders_drawn_share_the_kernel_s_weight(drawing, factor):
     estimate, _ = found_in(noise(side, side), search)
     np.testing.assert_allclose(estimate.best.xy, factor * first.xy)
     np.testing.assert_allclose(estimate.trajectories[-1].xy, factor * second.xy)
-    weights = np.array([0.6, 0.2] if factor > 1 else [0.6, 0.3, 0.2])
+    weights = np.array([0.6, 0.2] if factor > 1 else [0.6, 0.3 * 0.75, 0.2])
     assert estimate.weights == pytest.approx(weights / weights.sum())
     assert estimate.details["path_confidence"] == pytest.approx(0.8 * 0.6)
     assert estimate.warnings == () or factor > 1
+
+
+def test_no_alternative_outweighs_the_best_path_for_its_own_order_being_known(drawing):
+    """Three orders are equally likely; along the other kernel nobody counted them."""
+    paths = [Trajectory.straight(12.0, angle_rad=angle) for angle in (0.0, 1.0, 2.0)]
+    drawing(*((path, 1 / 3) for path in paths))
+    search = FakeSearch((line(13), 0.8), others=[(line(9, angle_rad=np.pi / 2), 0.6)])
+    estimate, _ = found_in(noise(100, 100), search)
+    assert estimate.weights[0] == max(estimate.weights)
 
 
 def test_an_order_in_doubt_is_said_unless_the_whole_estimate_is_lost(drawing):

@@ -79,6 +79,27 @@ def test_any_kernel_has_a_path(denoiser, kernel):
     assert 0 < draws.likeness[0] <= 1 + 1e-6
 
 
+def test_a_kernel_larger_than_the_usual_frame_has_a_path(denoiser):
+    line = Trajectory.straight(80.0, angle_rad=0.3)
+    draws = drawn(denoiser, line.psf(129), count=2)
+    assert draws.likeness.min() > 0.85  # a coarser frame takes it for a path of 150 px
+    assert draws.path(0).extent_px == pytest.approx(line.extent_px, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("kernel", "count", "message"),
+    [
+        (np.ones((5, 5)), 0, "count: must be at least 1, got 0"),
+        (np.zeros((5, 5)), 1, "kernel: must be finite"),
+        (np.full((5, 5), np.nan), 1, "kernel: must be finite"),
+        (-np.ones((5, 5)), 1, "kernel: must be finite"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(denoiser, kernel, count, message):
+    with pytest.raises(ValueError, match=f"^{message}"):
+        drawn(denoiser, kernel, count=count)
+
+
 def several(paths, surprise):
     """Draws of cosine coefficients (64, 2), px, all as alike to the kernel."""
     return DrawnPaths(

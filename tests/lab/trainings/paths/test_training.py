@@ -124,7 +124,6 @@ def test_the_same_seed_trains_the_same_network():
     [
         (["--minutes", "0"], "minutes: must be positive"),
         (["--batch", "0"], "batch: must be at least 1"),
-        (["--motions", "3"], "--motions: must be at least 10"),
         ([], "none.txt"),
     ],
 )
@@ -134,6 +133,12 @@ def test_bad_input_is_refused_in_one_line(tmp_path, capsys, options, message):
     error = capsys.readouterr().err
     assert message in error
     assert not out.exists()
+
+
+def test_too_few_motions_are_refused(tmp_path):
+    with pytest.raises(ValueError, match=r"^motions: need at least 10 that move, got 9"):
+        train(some_motions(9), tmp_path / "paths.safetensors")
+    assert not any(tmp_path.iterdir())
 
 
 def test_motions_are_drawn_alike_for_a_seed():
