@@ -133,7 +133,9 @@ def next_code(
     chip_ns = timed[0].chip_ns if timed else chip_ns
     scene = SceneLight.of(luminance(photos[0]), estimate.best)
     photo_codes = [code.array for code in timed] or [np.ones(chips)]
-    paths, explaining = open_orders(estimate.trajectories)
+    # one open photo's alternatives are orders of its path as well, which are all listed anyway
+    open_paths = estimate.trajectories if len(photos) > 1 else (estimate.best,)
+    paths, explaining = open_orders(open_paths)
     contrast = OrderContrast(paths, photo_codes, chips=chips, scene=scene)
     surviving = survivors(contrast, explaining)
     if len(surviving) < len(paths):

@@ -9,7 +9,7 @@ from pathlib import Path
 import cv2
 import pytest
 
-from motdiff.estimators.registry import METHODS
+from lab.evaluation.methods import named_estimators
 from motdiff.training.checkpoint import read_checkpoint
 from motdiff.training.log import last_validation
 from motdiff.weights import load_network
@@ -56,7 +56,8 @@ def test_a_rehearsal_in_two_calls_ends_with_weights_that_estimate(tmp_path):
     assert b"".join(piece.read_bytes() for piece in pieces) == weights.read_bytes()
     assert load_network(weights).config.denoiser_view == 2
     photo = cv2.imread(str(tmp_path / "photos" / "astronaut.png"))[:96, :96] / 255
-    estimate = METHODS["motdiff"](weights=weights).make().estimate(photo)
+    (estimator,) = named_estimators([f"network@{weights}"]).values()
+    estimate = estimator.estimate(photo)
     assert estimate.psf.sum() == pytest.approx(1)
 
 

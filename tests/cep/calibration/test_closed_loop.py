@@ -130,7 +130,8 @@ def test_progress_of_each_step_only_grows(stated):
 def test_the_order_of_a_motion_is_found(short_search):
     """From photos whose codes were chosen by the estimates before. One search alone is never sure;
     notebooks/order_in_time.py has the whole of them."""
-    *_, last = calibration_steps(camera_of(bow(), side_px=160), most_photos=3)
+    # the kernel of the open photo is lost in 160 px
+    *_, last = calibration_steps(camera_of(bow(), side_px=200), most_photos=3)
     assert timed_distance_px(last.calibration.best, bow()) < 0.7
 
 
