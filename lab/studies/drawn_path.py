@@ -13,34 +13,20 @@ thread; an interrupted run goes on where it stopped.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lab.bench.statistics import mean_interval
-from lab.studies.inputs import (
-    add_row,
-    case_key,
-    check_version,
-    finished_cases,
-    kept_rows,
-    large_scenes,
-    photo_files,
-    read_light,
-    refusals,
-    study_parser,
-    study_version,
-)
+from lab.studies.inputs import study_version
 from lab.studies.motions import KINDS
-from lab.studies.photo_path import SCENE_PX, Shot, shots
+from lab.studies.photo_path import Shot, run_study, shots_parser
 from motdiff.estimators.motdiff.estimator import MotDiffEstimator
-from motdiff.files.gyro_tables import read_gyro
 from motdiff.metrics import mnc_subpixel, timed_distance_px
 from motdiff.network.path_denoiser import PathDenoiser
 from motdiff.network.path_drawing import draw_paths
-from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 from motdiff.weights import PATH_WEIGHTS, load_path_denoiser
@@ -111,51 +97,24 @@ def _interval(differences: FloatArray) -> str:
 
 
 def main() -> None:
-    parser = study_parser(__doc__)
-    parser.add_argument("what", choices=["rows", "table"])
-    parser.add_argument("files", type=Path, nargs="+")
-    parser.add_argument("--photos", type=Path, nargs="+")
-    parser.add_argument("--gyro", type=Path)
-    parser.add_argument("--every", type=int, default=1)
-    parser.add_argument("--count", type=int, default=12)
-    parser.add_argument("--seed", type=int, default=0)
+    parser = shots_parser(__doc__)
     parser.add_argument("--draws", type=int, default=8)
     parser.add_argument("--weights", type=Path, default=PATH_WEIGHTS)
     options = parser.parse_args()
-    if options.what == "table":
-        with refusals(parser):
-            rows = [row for file in options.files for row in kept_rows(file)]
-            check_version(rows)
-        print("\n".join(table(rows)))
-        return
-    if len(options.files) != 1 or options.photos is None or options.gyro is None:
-        parser.error("rows: give one FILE, --photos and --gyro")
     if options.draws < 1:
         parser.error(f"--draws: must be at least 1, got {options.draws}")
-    (file,) = options.files
-    with refusals(parser):
-        finished = finished_cases(file)
-        trace = read_gyro(options.gyro)
+
+    def prepare() -> tuple[dict[str, object], Callable[[Shot], dict[str, object]]]:
         denoiser = load_path_denoiser(options.weights)
-        files = [file for folder in options.photos for file in photo_files(folder)]
-        scenes = ((file.name, read_light(file)) for file in files[:: options.every])
-        large = large_scenes(scenes, least_px=SCENE_PX)
-    shared = {
-        "photos": list(map(str, options.photos)),
-        "gyro": str(options.gyro),
-        "every": options.every,
-        "seed": options.seed,
-        "draws": options.draws,
-        "weights": str(options.weights),
-        "version": study_version("drawn_path"),
-    }
-    estimator = MotDiffEstimator()
-    with one_thread():
-        for shot in shots(large, trace, count=options.count, seed=options.seed):
-            case = {"name": shot.name, **shared}
-            if case_key(case) not in finished:
-                row = figures(shot, estimator, denoiser, draws=options.draws)
-                add_row(file, {"case": case, **row})
+        estimator = MotDiffEstimator()
+        dependences: dict[str, object] = {
+            "draws": options.draws,
+            "weights": str(options.weights),
+            "version": study_version("drawn_path"),
+        }
+        return dependences, lambda shot: figures(shot, estimator, denoiser, draws=options.draws)
+
+    run_study(parser, options, prepare=prepare, table=table)
 
 
 if __name__ == "__main__":

@@ -15,8 +15,9 @@ row says its options and the version of the estimator.
 
 from __future__ import annotations
 
+import argparse
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -48,8 +49,7 @@ from motdiff.trajectory import Trajectory
 from motdiff.types import FloatArray
 
 _PHOTO_PX = 256
-SCENE_PX = 340
-"""Least side of a scene, for photo and motion."""
+_SCENE_PX = 340  # least side: photo and motion
 _NOISE = 0.005
 _SURE = 0.5  # a stated path confidence of more: the path's figures are those of such photos, too
 
@@ -131,8 +131,9 @@ def table(rows: list[dict[str, Any]]) -> Iterator[str]:
         )
 
 
-def main() -> None:
-    parser = study_parser(__doc__)
+def shots_parser(documentation: str | None) -> argparse.ArgumentParser:
+    """Parser of a study of :func:`shots`: rows of photos, or their table."""
+    parser = study_parser(documentation)
     parser.add_argument("what", choices=["rows", "table"])
     parser.add_argument("files", type=Path, nargs="+")
     parser.add_argument("--photos", type=Path, nargs="+")
@@ -140,7 +141,26 @@ def main() -> None:
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
-    options = parser.parse_args()
+    return parser
+
+
+def run_study(
+    parser: argparse.ArgumentParser,
+    options: argparse.Namespace,
+    *,
+    prepare: Callable[[], tuple[dict[str, object], Callable[[Shot], dict[str, object]]]],
+    table: Callable[[list[dict[str, Any]]], Iterator[str]],
+) -> None:
+    """Print the table of finished rows, or measure the missing ones.
+
+    Parameters
+    ----------
+    prepare : callable
+        Returns what a row depends on beside the options of :func:`shots_parser`, and the function
+        that measures a shot; called for rows alone.
+    table : callable
+        Lines of the table of rows.
+    """
     if options.what == "table":
         with refusals(parser):
             rows = [row for file in options.files for row in kept_rows(file)]
@@ -155,20 +175,30 @@ def main() -> None:
         trace = read_gyro(options.gyro)
         files = [file for folder in options.photos for file in photo_files(folder)]
         scenes = ((file.name, read_light(file)) for file in files[:: options.every])
-        large = large_scenes(scenes, least_px=SCENE_PX)
+        large = large_scenes(scenes, least_px=_SCENE_PX)
+        dependences, measure = prepare()
     shared = {
         "photos": list(map(str, options.photos)),
         "gyro": str(options.gyro),
         "every": options.every,
         "seed": options.seed,
-        "version": study_version("photo_path"),
+        **dependences,
     }
-    estimator = MotDiffEstimator()
     with one_thread():
         for shot in shots(large, trace, count=options.count, seed=options.seed):
             case = {"name": shot.name, **shared}
             if case_key(case) not in finished:
-                add_row(file, {"case": case, **figures(shot, estimator)})
+                add_row(file, {"case": case, **measure(shot)})
+
+
+def main() -> None:
+    parser = shots_parser(__doc__)
+
+    def prepare() -> tuple[dict[str, object], Callable[[Shot], dict[str, object]]]:
+        estimator = MotDiffEstimator()
+        return {"version": study_version("photo_path")}, lambda shot: figures(shot, estimator)
+
+    run_study(parser, parser.parse_args(), prepare=prepare, table=table)
 
 
 if __name__ == "__main__":

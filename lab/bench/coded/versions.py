@@ -10,9 +10,8 @@ from lab.bench.coded.calibrations import (
 from lab.bench.coded.estimates import ESTIMATORS
 from lab.jobs.fingerprint import source_version
 from lab.weights import PATH_WEIGHTS
+from motdiff import weights as shipped
 from motdiff.files.plugins import is_reference
-from motdiff.weights import CORRECTION_WEIGHTS
-from motdiff.weights import PATH_WEIGHTS as DRAWN_PATH_WEIGHTS
 
 _DENOISER = Path(__file__).parents[3] / "cep/restoration/denoiser/denoiser.safetensors"
 _HERE = "lab.bench.coded"
@@ -31,7 +30,7 @@ _EXPOSED = (
 )
 """From the file to the photo."""
 _ESTIMATED: dict[str, tuple[str, tuple[Path, ...]]] = {
-    "motdiff": ("motdiff.estimators.motdiff", (CORRECTION_WEIGHTS, DRAWN_PATH_WEIGHTS)),
+    "motdiff": ("motdiff.estimators.motdiff", (shipped.CORRECTION_WEIGHTS, shipped.PATH_WEIGHTS)),
     "parametric": ("lab.rivals.parametric", (PATH_WEIGHTS,)),
 }
 _BASELINES = "cep.search.baselines"

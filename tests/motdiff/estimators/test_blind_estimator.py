@@ -479,7 +479,7 @@ def test_the_orders_drawn_share_the_kernel_s_weight(drawing, factor):
 
 
 def test_no_alternative_outweighs_the_best_path_for_its_own_order_being_known(drawing):
-    """Three orders are equally likely; along the other kernel nobody counted them."""
+    """With three equally likely orders; the other kernel has as many, though none was drawn."""
     paths = [Trajectory.straight(12.0, angle_rad=angle) for angle in (0.0, 1.0, 2.0)]
     drawing(*((path, 1 / 3) for path in paths))
     search = FakeSearch((line(13), 0.8), others=[(line(9, angle_rad=np.pi / 2), 0.6)])

@@ -4,6 +4,7 @@ around it; real ones run."""
 import numpy as np
 import pytest
 import torch
+from leaf_photos import leaves, photo_of
 
 from lab.evaluation.methods import NetworkAlone, named_estimators
 from motdiff.blind_search.grids import mirrored
@@ -15,7 +16,6 @@ from motdiff.network.correction import corrected_kernel
 from motdiff.network.physics_maps import QUICK_STARTS, autocorrelation, spectral_maps
 from motdiff.network.sampling import psfs_of_maps
 from motdiff.photo_noise import noise_sigma
-from motdiff.simulate import blur_valid
 from motdiff.threads import one_thread
 from motdiff.training.config import DataConfig, TrainingConfig
 from motdiff.training.trainer import Trainer
@@ -54,27 +54,6 @@ def turned(motion, symmetry):
     """The path of the turned or mirrored photo."""
     xy = motion.xy * [-1 if symmetry & 2 else 1, -1 if symmetry & 1 else 1]
     return Trajectory(motion.t, xy[:, ::-1] if symmetry & 4 else xy)
-
-
-def dead_leaves(height, width, *, seed=0):
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[:height, :width]
-    image = np.full((height, width), 0.5)
-    for _ in range(height * width // 60):
-        radius = 3 / rng.uniform(0.05, 1)
-        cx = rng.uniform(0, width)
-        cy = rng.uniform(0, height)
-        near = tuple(slice(max(0, int(c - radius)), int(c + radius) + 2) for c in (cy, cx))
-        image[near][(x[near] - cx) ** 2 + (y[near] - cy) ** 2 < radius**2] = rng.uniform(
-            0.05, 0.95
-        )
-    return image
-
-
-def photo_of(motion, height=128, width=128, *, seed=0):
-    sharp = dead_leaves(height + 32, width + 32, seed=seed)
-    photo = blur_valid(sharp, motion.psf(33))
-    return np.clip(photo + np.random.default_rng(seed).normal(0, 0.005, photo.shape), 0, 1)
 
 
 # ---- networks
@@ -435,7 +414,6 @@ def test_a_network_of_photo_and_physics_sees_the_photo(weights_of, no_search, no
     weights = weights_of("b0")
     # of two photos with the same quick kernels it draws different paths
     one, other = (
-        NetworkAlone(weights, steps=1).estimate(dead_leaves(64, 64, seed=seed)).psf
-        for seed in (0, 1)
+        NetworkAlone(weights, steps=1).estimate(leaves(64, 64, seed=seed)).psf for seed in (0, 1)
     )
     assert np.abs(one - other).max() > 5e-4 * one.max()

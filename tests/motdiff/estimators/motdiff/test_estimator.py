@@ -3,6 +3,7 @@ choice among them."""
 
 import numpy as np
 import pytest
+from leaf_photos import leaves, photo_of
 from skimage import data
 
 from motdiff.estimators.base import FoundKernels
@@ -17,7 +18,7 @@ from motdiff.network.path_drawing import PathOrder
 from motdiff.network.physics_maps import QUICK_STARTS
 from motdiff.photo_noise import noise_sigma, shared_sigma
 from motdiff.progress import Progress
-from motdiff.simulate import blur_valid, photograph
+from motdiff.simulate import photograph
 from motdiff.threads import one_thread
 from motdiff.trajectory import Trajectory
 from motdiff.weights import CORRECTION_WEIGHTS, PATH_WEIGHTS, load_correction
@@ -32,27 +33,6 @@ def in_order():
     """One job after the other: the searches below note what they are asked."""
     with one_thread():
         yield
-
-
-def dead_leaves(height, width, *, seed=0):
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[:height, :width]
-    image = np.full((height, width), 0.5)
-    for _ in range(height * width // 60):
-        radius = 3 / rng.uniform(0.05, 1)
-        cx = rng.uniform(0, width)
-        cy = rng.uniform(0, height)
-        near = tuple(slice(max(0, int(c - radius)), int(c + radius) + 2) for c in (cy, cx))
-        image[near][(x[near] - cx) ** 2 + (y[near] - cy) ** 2 < radius**2] = rng.uniform(
-            0.05, 0.95
-        )
-    return image
-
-
-def photo_of(motion, height=128, width=128, *, seed=0):
-    sharp = dead_leaves(height + 32, width + 32, seed=seed)
-    photo = blur_valid(sharp, motion.psf(33))
-    return np.clip(photo + np.random.default_rng(seed).normal(0, 0.005, photo.shape), 0, 1)
 
 
 def camera_photo(motion, *, side=256):
@@ -314,7 +294,7 @@ def test_a_correction_keeps_the_sum_and_takes_kernels_of_any_frame(shaken):
 )
 def test_photos_of_any_size(finding, uncorrected, shape, expected):
     searches = finding({expected[2]: (STRAIGHT, STRAIGHT)})
-    estimate = MotDiffEstimator().estimate(dead_leaves(*shape))
+    estimate = MotDiffEstimator().estimate(leaves(*shape))
     assert searches.shapes[0] == expected
     assert estimate.psf.sum() == pytest.approx(1)
     assert np.isfinite(estimate.psf).all()
@@ -323,7 +303,7 @@ def test_photos_of_any_size(finding, uncorrected, shape, expected):
 
 def test_at_most_so_many_crops_as_asked_for(finding, uncorrected):
     searches = finding({256: (STRAIGHT, STRAIGHT)})
-    MotDiffEstimator(crops=2).estimate(dead_leaves(500, 700))
+    MotDiffEstimator(crops=2).estimate(leaves(500, 700))
     assert searches.shapes[0] == (2, 256, 256)
 
 
