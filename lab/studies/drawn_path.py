@@ -1,7 +1,7 @@
 """Paths drawn for the kernels of blurred photos: one draw, the best of eight, and the likeliest.
 
     python -m lab.studies.drawn_path rows FILE --photos DIR... --gyro RECORDING
-        [--every N] [--count 12] [--seed 0] [--draws 8] [--weights FILE]
+        [--every N] [--count 12] [--seed 0] [--noise 0.005] [--draws 8] [--weights FILE]
     python -m lab.studies.drawn_path table FILE...
 
 The photos are those of ``lab.studies.photo_path``. Paths are drawn for the kernel that ``cep

@@ -1,10 +1,10 @@
 """Kernel and path of ``cep calibrate`` from one photo: how alike they are, and to the truth.
 
     python -m lab.studies.photo_path rows FILE --photos DIR... --gyro RECORDING
-        [--every N] [--count 12] [--seed 0]
+        [--every N] [--count 12] [--seed 0] [--noise 0.005]
     python -m lab.studies.photo_path table FILE...
 
-Photos of 256 x 256 px, linear light, grey, real borders, noise of 0.5 %: walks of 60 px, arcs
+Photos of 256 x 256 px, linear light, grey, real borders, with noise: walks of 60 px, arcs
 (straight, curved, accelerated; 18 to 40 px) and shakes of the recording (12 to 36 px, 50 to 500
 ms), the same scenes for each. ``--every N`` takes every N-th photo of the folders, as the
 networks' held-out scenes are. Figures: sub-pixel MNC of the kernel and of the path's PSF, mean
@@ -50,7 +50,6 @@ from motdiff.types import FloatArray
 
 _PHOTO_PX = 256
 _SCENE_PX = 340  # least side: photo and motion
-_NOISE = 0.005
 _SURE = 0.5  # a stated path confidence of more: the path's figures are those of such photos, too
 
 
@@ -65,9 +64,14 @@ class Shot:
 
 
 def shots(
-    scenes: Sequence[tuple[str, FloatArray]], trace: GyroTrace, *, count: int, seed: int
+    scenes: Sequence[tuple[str, FloatArray]],
+    trace: GyroTrace,
+    *,
+    count: int,
+    seed: int,
+    noise: float = 0.005,
 ) -> Iterator[Shot]:
-    """Simulate ``count`` photos of each kind of motion."""
+    """Simulate ``count`` photos of each kind of motion, with noise of this standard deviation."""
     for number in range(count):
         name, light = scenes[number % len(scenes)]
         for k, kind in enumerate(KINDS):
@@ -76,7 +80,7 @@ def shots(
             side = _PHOTO_PX - 1 + (motion.frame_size() | 1)
             row, column = (rng.integers(n - side + 1) for n in light.shape[:2])
             scene = luminance(light[row : row + side, column : column + side])
-            photo = photograph(scene, motion, rng=rng, read_sigma=_NOISE)
+            photo = photograph(scene, motion, rng=rng, read_sigma=noise)
             yield Shot(f"{kind}/{number:03d}/{name}", kind, photo, motion)
 
 
@@ -141,6 +145,7 @@ def shots_parser(documentation: str | None) -> argparse.ArgumentParser:
     parser.add_argument("--every", type=int, default=1)
     parser.add_argument("--count", type=int, default=12)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--noise", type=float, default=0.005, help="of full scale")
     return parser
 
 
@@ -182,10 +187,13 @@ def run_study(
         "gyro": str(options.gyro),
         "every": options.every,
         "seed": options.seed,
+        "noise": options.noise,
         **dependences,
     }
     with one_thread():
-        for shot in shots(large, trace, count=options.count, seed=options.seed):
+        for shot in shots(
+            large, trace, count=options.count, seed=options.seed, noise=options.noise
+        ):
             case = {"name": shot.name, **shared}
             if case_key(case) not in finished:
                 add_row(file, {"case": case, **measure(shot)})

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 SYMMETRIES = 8  # of the square
+QUARTER_TURNS = (0, 3, 5, 6)  # those of them without a reflection
 
 
 def fast_size(size: int) -> int:

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from motdiff.blind_search.coarse_to_fine import fine_latent
 from motdiff.blind_search.grids import (
-    SYMMETRIES,
+    QUARTER_TURNS,
     fast_size,
     gradient_power,
     inverse_symmetry,
@@ -66,15 +66,15 @@ class CorrectionNetwork(nn.Module):
 
 
 def corrected(network: CorrectionNetwork, maps: Tensor) -> Tensor:
-    """Mean over the eight symmetries of the corrections (B, 64, 64) of maps (B, 11, 64, 64).
+    """Mean over four quarter turns of the corrections (B, 64, 64) of maps (B, 11, 64, 64).
 
     They are non-negative, with sum 1, and 0 below 2 % of the peak. The network is in eval mode.
     """
-    all_ways = torch.cat([mirrored(maps, symmetry, pitch=1) for symmetry in range(SYMMETRIES)])
-    kernels = network(all_ways)[:, None].chunk(SYMMETRIES)
+    turned = torch.cat([mirrored(maps, turn, pitch=1) for turn in QUARTER_TURNS])
+    kernels = network(turned)[:, None].chunk(len(QUARTER_TURNS))
     aligned = [
-        mirrored(kernel, inverse_symmetry(symmetry), pitch=1)
-        for symmetry, kernel in enumerate(kernels)
+        mirrored(kernel, inverse_symmetry(turn), pitch=1)
+        for turn, kernel in zip(QUARTER_TURNS, kernels, strict=True)
     ]
     return thresholded(torch.cat(aligned, dim=1).mean(dim=1).clamp(min=0), below=DOUBT)
 

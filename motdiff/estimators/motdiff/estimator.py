@@ -33,8 +33,8 @@ from motdiff.types import FloatArray
 from motdiff.weights import load_correction
 
 # processor time of the stages, in starts of the classical search
-_CORRECT_PAIR_COST = 0.8
-_HALVED_COST = 2.6
+_CORRECT_PAIR_COST = 0.5
+_HALVED_COST = 1.4
 _SINGLE_COST = 0.35
 _CORRECT_COST = 0.3
 _PATH_COST = 0.6
@@ -55,8 +55,8 @@ class MotDiffEstimator(BlindEstimator):
     """Blind estimator whose path is drawn by a diffusion model of motions.
 
     Two classical searches give kernels, which a network corrects by what the photo tells of them
-    (:mod:`motdiff.network.correction`). Where these differ, or the photo contradicts them, two
-    searches of the photo at half its size give a third. The photo chooses among them
+    (:mod:`motdiff.network.correction`). Where these differ, or the photo contradicts them, a
+    search of the photo at half its size gives a third. The photo chooses among them
     (:mod:`motdiff.estimators.kernel_score`). A simple motion that is as likely takes the kernel's
     place (:mod:`motdiff.estimators.simple_motion`), or a quadratic path that has it; or else paths
     are drawn for it (:mod:`motdiff.network.path_drawing`), and their likeliest order is taken.
@@ -113,7 +113,8 @@ class MotDiffEstimator(BlindEstimator):
         origins = ["search"] * _PAIR
         if halved is not None:
             progress.expect_more(_HALVED_COST)
-            small = self._searched_at_half(halved(), progress)
+            likelier = better[int(np.argmax(scores))]
+            small = self._searched_at_half(halved(), _halved(likelier), progress)
             enlarged = enlarged_kernel(small)
             if enlarged is not None:
                 rival = pair[int(np.argmax(kernel_score(judge.evidence(pair))))]
@@ -136,13 +137,15 @@ class MotDiffEstimator(BlindEstimator):
             corrected=tuple(better),
         )
 
-    def _searched_at_half(self, halved: FloatArray, progress: Progress) -> FloatArray:
-        """Better one of two corrected kernels of the photo's crops at half its size."""
-        pair = PmpEstimator(starts=STARTS[:_PAIR]).kernels(halved, progress=progress)
-        judge = Judge(halved, sigma=shared_sigma(halved))
-        better = corrected_pair(self._correction, halved, pair, sigma=judge.sigma)
-        progress.spend(_HALVED_COST - _PAIR)
-        return better[int(np.argmax(kernel_score(judge.evidence(better))))]
+    def _searched_at_half(
+        self, crops: FloatArray, rival: FloatArray, progress: Progress
+    ) -> FloatArray:
+        """Search a kernel of crops at half the size, and correct it beside a rival."""
+        (kernel,) = PmpEstimator(starts=STARTS[:1]).kernels(crops, progress=progress)
+        sigma = shared_sigma(crops)
+        corrected = corrected_kernel(self._correction, crops, kernel, [rival], sigma=sigma)
+        progress.spend(_HALVED_COST - 1.0)
+        return corrected
 
     def single(
         self,

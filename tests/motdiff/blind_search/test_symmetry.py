@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch.nn import functional
 
-from motdiff.blind_search.grids import inverse_symmetry, mirrored
+from motdiff.blind_search.grids import QUARTER_TURNS, inverse_symmetry, mirrored
 from motdiff.simulate import blur_symmetric
 from motdiff.training.motion_bank import MotionMix, build_bank
 from motdiff.trajectory import Trajectory
@@ -124,3 +124,11 @@ def test_a_photo_that_is_not_square_comes_back_too(symmetry):
     there = mirrored(photo, symmetry, pitch=0)
     assert there.shape[2:] == ((8, 5) if symmetry & 4 else (5, 8))
     assert torch.equal(mirrored(there, inverse_symmetry(symmetry), pitch=0), photo)
+
+
+def test_quarter_turns_are_the_symmetries_that_rotate():
+    photo = noise(1, 1, 5, 5)
+    rotated = [torch.rot90(photo, quarters, (2, 3)) for quarters in range(4)]
+    for turn in QUARTER_TURNS:
+        assert any(torch.equal(mirrored(photo, turn, pitch=0), one) for one in rotated)
+    assert len(set(QUARTER_TURNS)) == len(rotated)

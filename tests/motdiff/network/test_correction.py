@@ -7,7 +7,7 @@ import torch
 from scipy import signal
 
 from motdiff.blind_search.coarse_to_fine import fine_latent
-from motdiff.blind_search.grids import fast_size, mirrored, periodic_extension
+from motdiff.blind_search.grids import QUARTER_TURNS, fast_size, mirrored, periodic_extension
 from motdiff.metrics import mnc
 from motdiff.network.correction import (
     MAPS,
@@ -167,10 +167,10 @@ def test_corrected_kernels_are_kernels(network):
     torch.testing.assert_close(kernels.sum(dim=(1, 2)), torch.ones(3))
 
 
-@pytest.mark.parametrize("symmetry", range(8))
-def test_the_correction_of_turned_maps_is_turned(network, symmetry):
+@pytest.mark.parametrize("turn", QUARTER_TURNS)
+def test_the_correction_of_turned_maps_is_turned(network, turn):
     maps = some_maps(1)
-    turned = corrected(network, mirrored(maps, symmetry, pitch=1))
+    turned = corrected(network, mirrored(maps, turn, pitch=1))
     torch.testing.assert_close(
-        turned, mirrored(corrected(network, maps)[:, None], symmetry, pitch=1)[:, 0]
+        turned, mirrored(corrected(network, maps)[:, None], turn, pitch=1)[:, 0]
     )
