@@ -14,7 +14,7 @@ from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import fft, ndimage, special
 
 from motdiff.crops import uniformity
 from motdiff.metrics import SAME_KERNEL_MNC, mnc_matrix, mnc_subpixel
@@ -31,8 +31,8 @@ _CLEARLY = 0.02  # docs/decisions/motion-estimation.md
 # on simulated motions over training photos (120 photos, 8 or 9 starts each).
 _EVIDENCE_WEIGHTS = np.array([0.8, 2.0, -1.0])
 _AGREEMENT_WEIGHT = 0.4
-# Slope and offset turn the winner's score into the share of winners with a sub-pixel MNC of 0.7 or
-# more.
+# Slope and offset of the log odds that the winner has a sub-pixel MNC of 0.7 or more, by its
+# score.
 _SEARCHED = (8.3, -5.15)
 
 
@@ -240,9 +240,9 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
     agreement = np.ones(1)  # a lone kernel agrees with itself
     if count > 1:
         agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1)
-    probabilities = probability_good(
-        kernel_score(Judge(photos).evidence(kernels), agreement), _SEARCHED
-    )
+    slope, offset = _SEARCHED
+    scores = kernel_score(Judge(photos).evidence(kernels), agreement)
+    probabilities = np.asarray(special.expit(slope * scores + offset), dtype=np.float64)
     best = int(np.argmax(probabilities))
     return Ranking(best, probabilities, float(agreement[best]))
 
@@ -266,12 +266,6 @@ def distinct(
         if all(alike[i, j] < SAME_KERNEL_MNC for j in chosen):
             chosen.append(int(i))
     return chosen
-
-
-def probability_good(scores: FloatArray, calibration: tuple[float, float]) -> FloatArray:
-    """Probability (K,) to be good at scores (K,), by the slope and offset of its log odds."""
-    slope, offset = calibration
-    return np.asarray(1 / (1 + np.exp(-(slope * scores + offset))), dtype=np.float64)
 
 
 def uneven_blur_warning(

@@ -14,10 +14,11 @@ from functools import partial
 import cv2
 import numpy as np
 import torch
+from scipy import special
 
 from motdiff.estimators.base import FoundKernels
 from motdiff.estimators.blind_estimator import BlindEstimator
-from motdiff.estimators.kernel_score import Judge, distinct, kernel_score, probability_good
+from motdiff.estimators.kernel_score import Judge, distinct, kernel_score
 from motdiff.estimators.motdiff import MotDiff
 from motdiff.estimators.pmp.estimator import STARTS, PmpEstimator
 from motdiff.estimators.simple_motion import simple_motion
@@ -40,14 +41,13 @@ _CORRECT_COST = 0.3
 _PATH_COST = 0.6
 _PAIR = 2  # searches that are compared
 _CORRECTED = 3  # kernels of several photos together
-# Two corrected kernels are the photo's from this MNC and score on; the probability of one to be
-# good grows with the MNC. Where they differ it grows with the score, and with the largest MNC of
-# two kernels. docs/decisions/network.md
+# Two corrected kernels are the photo's from this MNC and score on; docs/decisions/network.md
 _AGREED_MNC = 0.85
 _AGREED_SCORE = 0.4
-_AGREED = (15.0, -10.5)
-_DOUBTED = (5.75, -7.45)
-_AGREEMENT_WEIGHT = 1.25
+# Log odds that a kernel is good: by its score, by the log of how little two of all differ, from
+# the floor on, and an offset.
+_GOOD = (3.25, 1.63, -4.37)
+_LEAST_DIFFERENCE = 0.02
 _LEAST_INSIDE = 0.98  # share of an enlarged kernel's light within the frame
 
 
@@ -99,19 +99,10 @@ class MotDiffEstimator(BlindEstimator):
         better = corrected_pair(self._correction, crops, pair, sigma=judge.sigma)
         scores = kernel_score(judge.evidence(better))
         progress.spend(_CORRECT_PAIR_COST)
-        agreement = mnc_subpixel(*better)
-        if agreement >= _AGREED_MNC and scores.max() >= _AGREED_SCORE:
-            return FoundKernels(
-                kernels=tuple(in_odd_frames(pair)),
-                probabilities=probability_good(np.full(_PAIR, agreement), _AGREED),
-                best=int(np.argmax(scores)),
-                details={"agreement": agreement},
-                origins=("search",) * _PAIR,
-                corrected=tuple(better),
-            )
         kernels = list(pair)
         origins = ["search"] * _PAIR
-        if halved is not None:
+        agreed = mnc_subpixel(*better) >= _AGREED_MNC and scores.max() >= _AGREED_SCORE
+        if not agreed and halved is not None:
             progress.expect_more(_HALVED_COST)
             likelier = better[int(np.argmax(scores))]
             small = self._searched_at_half(halved(), _halved(likelier), progress)
@@ -130,7 +121,7 @@ class MotDiffEstimator(BlindEstimator):
         agreement = max(mnc_subpixel(*two) for two in itertools.combinations(better, 2))
         return FoundKernels(
             kernels=tuple(in_odd_frames(kernels)),
-            probabilities=probability_good(scores + _AGREEMENT_WEIGHT * agreement, _DOUBTED),
+            probabilities=chance_good(scores, agreement),
             best=int(np.argmax(scores)),
             details={"agreement": agreement},
             origins=tuple(origins),
@@ -187,6 +178,22 @@ def _searched_alone(crop: FloatArray) -> FloatArray:
         light, sigma=noise_sigma(crop), starts=QUICK_STARTS[:1], fine_weights=()
     )
     return np.asarray(kernel[0, 0].double().numpy(), dtype=np.float64)
+
+
+def chance_good(scores: FloatArray, agreement: float) -> FloatArray:
+    """Probability (K,) of corrected kernels to have a sub-pixel MNC of 0.7 or more.
+
+    Parameters
+    ----------
+    scores : (K,) float
+    agreement : float
+        Largest MNC of two of the kernels.
+    """
+    by_score, by_agreement, offset = _GOOD
+    alike = -np.log(_LEAST_DIFFERENCE + 1 - agreement)
+    return np.asarray(
+        special.expit(by_score * scores + by_agreement * alike + offset), dtype=np.float64
+    )
 
 
 def corrected_choice(

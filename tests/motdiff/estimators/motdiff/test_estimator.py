@@ -47,25 +47,28 @@ def shaken():
 
 
 class Searches:
-    """Searches with known results, by the side of the photo; notes the shapes of the crops."""
+    """Searches with known results, by the side of the photo, of which a single one gives the
+    first; notes the shapes of the crops."""
 
     def __init__(self, motions):
         self.motions = motions
         self.shapes = []
 
     def __call__(self, *, starts):
-        assert starts == STARTS[:2]
+        assert starts == STARTS[: len(starts)]
+        self.count = len(starts)
         return self
 
     def kernels(self, crops, *, progress):
         self.shapes.append(crops.shape)
-        progress.spend(2.0)
-        return [motion.psf(63) for motion in self.motions.get(crops.shape[-1], LOST)]
+        progress.spend(float(self.count))
+        motions = self.motions.get(crops.shape[-1], LOST)
+        return [motion.psf(63) for motion in motions[: self.count]]
 
 
 @pytest.fixture
 def finding(monkeypatch):
-    """Let two searches in photos of these sides find these motions, in others wrong ones."""
+    """Let searches in photos of these sides find these motions, in others wrong ones."""
 
     def searches(motions):
         made = Searches(motions)
@@ -138,11 +141,11 @@ def test_neither_agreement_nor_the_photo_s_belief_is_enough_alone(
     assert candidates.best == (1 if is_believed else 2)
 
 
-def test_the_third_kernel_is_the_better_one_at_half_the_size_and_corrected(monkeypatch, finding):
-    """Beside the better one of the two that differ."""
+def test_the_third_kernel_is_corrected_at_half_the_size_and_enlarged(monkeypatch, finding):
+    """Beside the likelier one of the two that differ, at either size."""
     photo = camera_photo(BENT)
     half = BENT.scaled(0.5)
-    finding({256: LOST, 128: (LOST[1], half)})
+    searches = finding({256: LOST, 128: (half,)})
     asked = []
 
     def noted(_network, crops, kernel, rivals, *, sigma):
@@ -151,9 +154,15 @@ def test_the_third_kernel_is_the_better_one_at_half_the_size_and_corrected(monke
 
     monkeypatch.setattr(module, "corrected_kernel", noted)
     candidates = MotDiffEstimator().search(photo[None], Progress(), lambda: photo[None, ::2, ::2])
-    assert [side for side, *_ in asked] == [256, 256, 128, 128, 256]
+    assert [side for side, *_ in asked] == [256, 256, 128, 256]
+    assert searches.count == 1  # the last time
     searched = [motion.psf(63) for motion in LOST]
     likelier = int(np.argmax(kernel_score(Judge(photo[None]).evidence(searched))))
+    _, kernel, (rival,), sigma = asked[-2]
+    np.testing.assert_array_equal(kernel, half.psf(63))
+    assert rival.shape == (32, 32)
+    assert mnc_subpixel(rival, LOST[likelier].scaled(0.5).psf(63)) > 0.9
+    assert sigma == shared_sigma(photo[None, ::2, ::2])
     _, kernel, (rival,), sigma = asked[-1]
     np.testing.assert_array_equal(kernel, enlarged_kernel(half.psf(63)))
     np.testing.assert_array_equal(rival, searched[likelier])
