@@ -70,8 +70,8 @@ def corrected(network: CorrectionNetwork, maps: Tensor) -> Tensor:
 
     They are non-negative, with sum 1, and 0 below 2 % of the peak. The network is in eval mode.
     """
-    turned = torch.cat([mirrored(maps, turn, pitch=1) for turn in QUARTER_TURNS])
-    kernels = network(turned)[:, None].chunk(len(QUARTER_TURNS))
+    rotations = torch.cat([mirrored(maps, turn, pitch=1) for turn in QUARTER_TURNS])
+    kernels = network(rotations)[:, None].chunk(len(QUARTER_TURNS))
     aligned = [
         mirrored(kernel, inverse_symmetry(turn), pitch=1)
         for turn, kernel in zip(QUARTER_TURNS, kernels, strict=True)
