@@ -17,6 +17,7 @@ from torch import Tensor, nn
 from motdiff.blind_search.coarse_to_fine import fine_latent
 from motdiff.blind_search.grids import (
     QUARTER_TURNS,
+    SYMMETRIES,
     fast_size,
     gradient_power,
     inverse_symmetry,
@@ -42,7 +43,9 @@ _RIDGES = (0.03, 0.3, 3.0)  # of the least-squares kernels, in mean powers of th
 _WIENER_RIDGE = 0.3
 _WIENER_PENALTY = 3e-4
 _WIENER_PER_VARIANCE = 100.0
-_PASSES = 2  # the maps of a corrected kernel hold more evidence than those of a searched one
+# Symmetries of the passes: the maps of a corrected kernel hold more evidence than those of a
+# searched one, and the first of both may be the coarser mean.
+_PASSES = (QUARTER_TURNS, range(SYMMETRIES))
 _LATENT_RANGE = (-0.5, 1.5)  # a restoration by a wrong kernel rings far beyond full scale
 
 
@@ -65,16 +68,18 @@ class CorrectionNetwork(nn.Module):
         return maps[:, 0] + change[:, 0]
 
 
-def corrected(network: CorrectionNetwork, maps: Tensor) -> Tensor:
-    """Mean over four quarter turns of the corrections (B, 64, 64) of maps (B, 11, 64, 64).
+def corrected(
+    network: CorrectionNetwork, maps: Tensor, symmetries: Sequence[int] = range(SYMMETRIES)
+) -> Tensor:
+    """Mean over symmetries of the square of the corrections (B, 64, 64) of maps (B, 11, 64, 64).
 
     They are non-negative, with sum 1, and 0 below 2 % of the peak. The network is in eval mode.
     """
-    rotations = torch.cat([mirrored(maps, turn, pitch=1) for turn in QUARTER_TURNS])
-    kernels = network(rotations)[:, None].chunk(len(QUARTER_TURNS))
+    variants = torch.cat([mirrored(maps, symmetry, pitch=1) for symmetry in symmetries])
+    kernels = network(variants)[:, None].chunk(len(symmetries))
     aligned = [
-        mirrored(kernel, inverse_symmetry(turn), pitch=1)
-        for turn, kernel in zip(QUARTER_TURNS, kernels, strict=True)
+        mirrored(kernel, inverse_symmetry(symmetry), pitch=1)
+        for symmetry, kernel in zip(symmetries, kernels, strict=True)
     ]
     return thresholded(torch.cat(aligned, dim=1).mean(dim=1).clamp(min=0), below=DOUBT)
 
@@ -105,10 +110,9 @@ def corrected_kernel(
     estimate = framed[:1]
     framed_rivals = framed[[1, -1]][None]  # a single one counts twice
     with torch.inference_mode():
-        for _ in range(_PASSES):
-            estimate = corrected(
-                network, correction_maps(light[None], estimate, framed_rivals, sigma=sigma)
-            )
+        for symmetries in _PASSES:
+            maps = correction_maps(light[None], estimate, framed_rivals, sigma=sigma)
+            estimate = corrected(network, maps, symmetries)
     odd = in_frame(estimate[0].double().numpy(), ODD_PX)
     return np.asarray(odd / odd.sum(), dtype=np.float64)
 

@@ -34,7 +34,7 @@ from motdiff.types import FloatArray
 from motdiff.weights import load_correction
 
 # processor time of the stages, in starts of the classical search
-_CORRECT_PAIR_COST = 0.5
+_CORRECT_PAIR_COST = 0.6
 _HALVED_COST = 1.4
 _SINGLE_COST = 0.35
 _CORRECT_COST = 0.3

@@ -167,10 +167,10 @@ def test_corrected_kernels_are_kernels(network):
     torch.testing.assert_close(kernels.sum(dim=(1, 2)), torch.ones(3))
 
 
-@pytest.mark.parametrize("turn", QUARTER_TURNS)
-def test_the_correction_of_turned_maps_is_turned(network, turn):
+@pytest.mark.parametrize("symmetries", [QUARTER_TURNS, range(8)])
+def test_the_mean_correction_of_turned_maps_is_turned(network, symmetries):
     maps = some_maps(1)
-    turned = corrected(network, mirrored(maps, turn, pitch=1))
-    torch.testing.assert_close(
-        turned, mirrored(corrected(network, maps)[:, None], turn, pitch=1)[:, 0]
-    )
+    mean = corrected(network, maps, symmetries)
+    for symmetry in symmetries:
+        turned = corrected(network, mirrored(maps, symmetry, pitch=1), symmetries)
+        torch.testing.assert_close(turned, mirrored(mean[:, None], symmetry, pitch=1)[:, 0])
