@@ -170,11 +170,15 @@ def run_study(
         with refusals(parser):
             rows = [row for file in options.files for row in kept_rows(file)]
             check_version(rows)
+        if len({row["case"].get("noise") for row in rows}) > 1:
+            parser.error("table: rows of one --noise at a time, found several")
         print("\n".join(table(rows)))
         return
     if len(options.files) != 1 or options.photos is None or options.gyro is None:
         parser.error("rows: give one FILE, --photos and --gyro")
     (file,) = options.files
+    if options.noise < 0:
+        parser.error(f"--noise: must be 0 or more, got {options.noise:g}")
     with refusals(parser):
         finished = finished_cases(file)
         trace = read_gyro(options.gyro)

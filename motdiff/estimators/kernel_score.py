@@ -31,9 +31,8 @@ _CLEARLY = 0.02  # docs/decisions/motion-estimation.md
 # on simulated motions over training photos (120 photos, 8 or 9 starts each).
 _EVIDENCE_WEIGHTS = np.array([0.8, 2.0, -1.0])
 _AGREEMENT_WEIGHT = 0.4
-# Slope and offset of the log odds that the winner has a sub-pixel MNC of 0.7 or more, by its
-# score.
-_SEARCHED = (8.3, -5.15)
+# Log odds that the winner has a sub-pixel MNC of 0.7 or more: slope in its score, and offset.
+_LOG_ODDS = (8.3, -5.15)
 
 
 @dataclass(frozen=True)
@@ -240,7 +239,7 @@ def rank_kernels(photos: FloatArray, kernels: Sequence[FloatArray]) -> Ranking:
     agreement = np.ones(1)  # a lone kernel agrees with itself
     if count > 1:
         agreement = np.sort(alike, axis=1)[:, -top:].mean(axis=1)
-    slope, offset = _SEARCHED
+    slope, offset = _LOG_ODDS
     scores = kernel_score(Judge(photos).evidence(kernels), agreement)
     probabilities = np.asarray(special.expit(slope * scores + offset), dtype=np.float64)
     best = int(np.argmax(probabilities))

@@ -43,8 +43,8 @@ _RIDGES = (0.03, 0.3, 3.0)  # of the least-squares kernels, in mean powers of th
 _WIENER_RIDGE = 0.3
 _WIENER_PENALTY = 3e-4
 _WIENER_PER_VARIANCE = 100.0
-# Symmetries of the passes: the maps of a corrected kernel hold more evidence than those of a
-# searched one, and the first of both may be the coarser mean.
+# Symmetries averaged in each pass. Two passes: the maps of a corrected kernel hold more evidence
+# than those of a searched one; the first needs only quarter turns (docs/decisions/network.md).
 _PASSES = (QUARTER_TURNS, range(SYMMETRIES))
 _LATENT_RANGE = (-0.5, 1.5)  # a restoration by a wrong kernel rings far beyond full scale
 

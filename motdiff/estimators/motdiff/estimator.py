@@ -1,12 +1,11 @@
 """MoTDiff estimator: searched kernels corrected, the photo's choice among them, and drawn paths.
 
-Searches that differ on the photo often agree on the photo at half its size: the blur is half as
-long there, varies half as much from place to place, and noise is averaged.
+Where searches of the photo differ, one of the photo at half its size is often right: the blur is
+half as long there, varies half as much from place to place, and noise is averaged.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -16,7 +15,7 @@ import numpy as np
 import torch
 from scipy import special
 
-from motdiff.estimators.base import FoundKernels
+from motdiff.estimators.base import LOST, FoundKernels
 from motdiff.estimators.blind_estimator import BlindEstimator
 from motdiff.estimators.kernel_score import Judge, distinct, kernel_score
 from motdiff.estimators.motdiff import MotDiff
@@ -44,10 +43,9 @@ _CORRECTED = 3  # kernels of several photos together
 # Two corrected kernels are the photo's from this MNC and score on; docs/decisions/network.md
 _AGREED_MNC = 0.85
 _AGREED_SCORE = 0.4
-# Log odds that a kernel is good: by its score, by the log of how little two of all differ, from
-# the floor on, and an offset.
-_GOOD = (3.25, 1.63, -4.37)
-_LEAST_DIFFERENCE = 0.02
+# Log odds that a kernel is good: weights of its score and of the largest MNC of two, and offset.
+_LOG_ODDS_AGREED = (6.06, 17.4, -17.8)
+_LOG_ODDS_DOUBTED = (5.75, 7.19, -7.45)
 _LEAST_INSIDE = 0.98  # share of an enlarged kernel's light within the frame
 
 
@@ -99,44 +97,59 @@ class MotDiffEstimator(BlindEstimator):
         better = corrected_pair(self._correction, crops, pair, sigma=judge.sigma)
         scores = kernel_score(judge.evidence(better))
         progress.spend(_CORRECT_PAIR_COST)
+        agreement = mnc_subpixel(*better)
+        probabilities = probability_good(scores, agreement, _LOG_ODDS_AGREED)
         kernels = list(pair)
         origins = ["search"] * _PAIR
-        agreed = mnc_subpixel(*better) >= _AGREED_MNC and scores.max() >= _AGREED_SCORE
-        if not agreed and halved is not None:
-            progress.expect_more(_HALVED_COST)
-            likelier = better[int(np.argmax(scores))]
-            small = self._searched_at_half(halved(), _halved(likelier), progress)
-            enlarged = enlarged_kernel(small)
-            if enlarged is not None:
-                rival = pair[int(np.argmax(kernel_score(judge.evidence(pair))))]
-                third = corrected_kernel(
-                    self._correction, crops, enlarged, [rival], sigma=judge.sigma
-                )
-                if mnc_subpixel(_halved(third), small) < _AGREED_MNC:
-                    third = enlarged  # the photo at half its size contradicts the correction
-                kernels.append(enlarged)
+        agreed = agreement >= _AGREED_MNC and scores.max() >= _AGREED_SCORE
+        if not agreed or probabilities.max() < LOST:
+            third = None
+            if halved is not None:
+                likelier = better[int(np.argmax(scores))]
+                third = self._third(crops, halved(), likelier, progress, sigma=judge.sigma)
+            if third is not None:
+                agreement = max(agreement, *(mnc_subpixel(third[1], two) for two in better))
+                kernels.append(third[0])
+                better.append(third[1])
                 origins.append("search at half the size")
-                better.append(third)
                 scores = kernel_score(judge.evidence(better))
-        agreement = max(mnc_subpixel(*two) for two in itertools.combinations(better, 2))
+            probabilities = probability_good(scores, agreement, _LOG_ODDS_DOUBTED)
         return FoundKernels(
             kernels=tuple(in_odd_frames(kernels)),
-            probabilities=chance_good(scores, agreement),
+            probabilities=probabilities,
             best=int(np.argmax(scores)),
             details={"agreement": agreement},
             origins=tuple(origins),
             corrected=tuple(better),
         )
 
-    def _searched_at_half(
-        self, crops: FloatArray, rival: FloatArray, progress: Progress
-    ) -> FloatArray:
-        """Search a kernel of crops at half the size, and correct it beside a rival."""
-        (kernel,) = PmpEstimator(starts=STARTS[:1]).kernels(crops, progress=progress)
-        sigma = shared_sigma(crops)
-        corrected = corrected_kernel(self._correction, crops, kernel, [rival], sigma=sigma)
+    def _third(
+        self,
+        crops: FloatArray,
+        halved: FloatArray,
+        rival: FloatArray,
+        progress: Progress,
+        *,
+        sigma: float,
+    ) -> tuple[FloatArray, FloatArray] | None:
+        """Search crops of the photo at half its size: the kernel, enlarged, and corrected as well.
+
+        Both corrections are made beside the rival. None where the kernel outgrows the frame.
+        """
+        progress.expect_more(_HALVED_COST)
+        (searched,) = PmpEstimator(starts=STARTS[:1]).kernels(halved, progress=progress)
+        small = corrected_kernel(
+            self._correction, halved, searched, [_halved(rival)], sigma=shared_sigma(halved)
+        )
+        enlarged = enlarged_kernel(small)
+        if enlarged is None:
+            progress.spend(_HALVED_COST - 1.0)
+            return None
+        third = corrected_kernel(self._correction, crops, enlarged, [rival], sigma=sigma)
         progress.spend(_HALVED_COST - 1.0)
-        return corrected
+        # where the photo at half its size contradicts the correction, it is not corrected
+        agrees = mnc_subpixel(_halved(third), small) >= _AGREED_MNC
+        return enlarged, third if agrees else enlarged
 
     def single(
         self,
@@ -180,7 +193,9 @@ def _searched_alone(crop: FloatArray) -> FloatArray:
     return np.asarray(kernel[0, 0].double().numpy(), dtype=np.float64)
 
 
-def chance_good(scores: FloatArray, agreement: float) -> FloatArray:
+def probability_good(
+    scores: FloatArray, agreement: float, log_odds: tuple[float, float, float]
+) -> FloatArray:
     """Probability (K,) of corrected kernels to have a sub-pixel MNC of 0.7 or more.
 
     Parameters
@@ -188,11 +203,12 @@ def chance_good(scores: FloatArray, agreement: float) -> FloatArray:
     scores : (K,) float
     agreement : float
         Largest MNC of two of the kernels.
+    log_odds : tuple of float
+        Weights of both, and offset.
     """
-    by_score, by_agreement, offset = _GOOD
-    alike = -np.log(_LEAST_DIFFERENCE + 1 - agreement)
+    by_score, by_agreement, offset = log_odds
     return np.asarray(
-        special.expit(by_score * scores + by_agreement * alike + offset), dtype=np.float64
+        special.expit(by_score * scores + by_agreement * agreement + offset), dtype=np.float64
     )
 
 

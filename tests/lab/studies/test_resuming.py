@@ -69,3 +69,14 @@ def test_a_table_of_several_versions_is_refused(tmp_path, monkeypatch, capsys):
             study.main()
         assert exit_status.value.code == 2
         assert "2 versions" in capsys.readouterr().err
+
+
+def test_a_table_of_photos_of_several_noises_is_refused(tmp_path, monkeypatch, capsys):
+    for noise in (0.005, 0.01):
+        row = {"case": {"name": "0", "version": "a", "noise": noise}, "name": "0"}
+        add_row(tmp_path / "rows.jsonl", row)
+    monkeypatch.setattr("sys.argv", ["study", "table", str(tmp_path / "rows.jsonl")])
+    with pytest.raises(SystemExit) as exit_status:
+        photo_path.main()
+    assert exit_status.value.code == 2
+    assert "table: rows of one --noise at a time, found several" in capsys.readouterr().err

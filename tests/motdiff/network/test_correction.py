@@ -14,10 +14,12 @@ from motdiff.network.correction import (
     CorrectionNetwork,
     _wiener,
     corrected,
+    corrected_kernel,
     correction_maps,
 )
 from motdiff.network.physics_maps import autocorrelation, spectral_maps
 from motdiff.simulate import blur_valid
+from motdiff.trajectory import Trajectory
 
 ZERO = 32
 SHARP = np.kron(np.random.default_rng(3).random((40, 40)), np.ones((4, 4)))  # blocks of 4 px
@@ -174,3 +176,17 @@ def test_the_mean_correction_of_turned_maps_is_turned(network, symmetries):
     for symmetry in symmetries:
         turned = corrected(network, mirrored(maps, symmetry, pitch=1), symmetries)
         torch.testing.assert_close(turned, mirrored(mean[:, None], symmetry, pitch=1)[:, 0])
+
+
+def test_a_kernel_is_corrected_in_quarter_turns_and_then_in_all_symmetries():
+    seen = []
+
+    def network(maps):
+        seen.append(len(maps))
+        return maps[:, 0]
+
+    photo = torch.rand(1, 80, 80, generator=torch.Generator().manual_seed(0)).numpy()
+    kernel = Trajectory.straight(9.0, angle_rad=0.4).psf(63)
+    found = corrected_kernel(network, photo, kernel, [kernel], sigma=0.01)
+    assert seen == [4, 8]
+    assert mnc(found, kernel) > 0.999
