@@ -1,7 +1,7 @@
 """MoTDiff estimator: searched kernels corrected, the photo's choice among them, and drawn paths.
 
-Where searches of the photo differ, one of the photo at half its size is often right: the blur is
-half as long there, varies half as much from place to place, and noise is averaged.
+Searches that differ on the photo often agree on the photo at half its size: the blur is half as
+long there, varies half as much from place to place, and noise is averaged.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from motdiff.weights import load_correction
 
 # processor time of the stages, in starts of the classical search
 _CORRECT_PAIR_COST = 0.6
-_HALVED_COST = 1.4
+_HALVED_COST = 2.8
 _SINGLE_COST = 0.35
 _CORRECT_COST = 0.3
 _PATH_COST = 0.6
@@ -53,8 +53,8 @@ class MotDiffEstimator(BlindEstimator):
     """Blind estimator whose path is drawn by a diffusion model of motions.
 
     Two classical searches give kernels, which a network corrects by what the photo tells of them
-    (:mod:`motdiff.network.correction`). Where these differ, or the photo contradicts them, a
-    search of the photo at half its size gives a third. The photo chooses among them
+    (:mod:`motdiff.network.correction`). Where these differ, or the photo contradicts them, two
+    searches of the photo at half its size give a third. The photo chooses among them
     (:mod:`motdiff.estimators.kernel_score`). A simple motion that is as likely takes the kernel's
     place (:mod:`motdiff.estimators.simple_motion`), or a quadratic path that has it; or else paths
     are drawn for it (:mod:`motdiff.network.path_drawing`), and their likeliest order is taken.
@@ -132,21 +132,20 @@ class MotDiffEstimator(BlindEstimator):
         *,
         sigma: float,
     ) -> tuple[FloatArray, FloatArray] | None:
-        """Search crops of the photo at half its size: the kernel, enlarged, and corrected as well.
-
-        Both corrections are made beside the rival. None where the kernel outgrows the frame.
+        """Search crops of the photo at half its size twice: the better kernel, enlarged, and
+        corrected beside the rival. None where it outgrows the frame.
         """
         progress.expect_more(_HALVED_COST)
-        (searched,) = PmpEstimator(starts=STARTS[:1]).kernels(halved, progress=progress)
-        small = corrected_kernel(
-            self._correction, halved, searched, [_halved(rival)], sigma=shared_sigma(halved)
-        )
+        pair = PmpEstimator(starts=STARTS[:_PAIR]).kernels(halved, progress=progress)
+        judge = Judge(halved, sigma=shared_sigma(halved))
+        better = corrected_pair(self._correction, halved, pair, sigma=judge.sigma)
+        small = better[int(np.argmax(kernel_score(judge.evidence(better))))]
         enlarged = enlarged_kernel(small)
         if enlarged is None:
-            progress.spend(_HALVED_COST - 1.0)
+            progress.spend(_HALVED_COST - _PAIR)
             return None
         third = corrected_kernel(self._correction, crops, enlarged, [rival], sigma=sigma)
-        progress.spend(_HALVED_COST - 1.0)
+        progress.spend(_HALVED_COST - _PAIR)
         # where the photo at half its size contradicts the correction, it is not corrected
         agrees = mnc_subpixel(_halved(third), small) >= _AGREED_MNC
         return enlarged, third if agrees else enlarged
