@@ -46,7 +46,7 @@ def test_a_rehearsal_in_two_calls_ends_with_weights_that_estimate(tmp_path):
     assert (tmp_path / "photos.zip").stat() == packed
     assert read_checkpoint(tmp_path / "run" / "checkpoint").step > first
     validation = last_validation(tmp_path / "run" / "log.csv")
-    assert validation is None or 0 <= validation <= 1  # a busy machine comes to none in its minutes
+    assert validation is None or 0 <= validation <= 1  # none on a busy machine
     code, said, told = gpu_sh("--rehearse", tmp_path, CALLS="0")
     assert (code, told) == (0, "")  # nothing to do
     assert re.search(r"step \d+ of \d+; weights.safetensors ", said)
