@@ -40,13 +40,12 @@ def test_a_rehearsal_in_two_calls_ends_with_weights_that_estimate(tmp_path):
     assert re.search(r"step \d+: validation MNC 0\.\d", told)
     first = read_checkpoint(tmp_path / "run" / "checkpoint").step
     packed = (tmp_path / "photos.zip").stat()
-    code, _, told = gpu_sh("--rehearse", tmp_path, CALLS="1", MINUTES="0.15")
+    code, _, told = gpu_sh("--rehearse", tmp_path, CALLS="1")
     assert code == 0, told
     assert told.startswith(f"resumed at step {first} of ")
     assert (tmp_path / "photos.zip").stat() == packed
     assert read_checkpoint(tmp_path / "run" / "checkpoint").step > first
-    validation = last_validation(tmp_path / "run" / "log.csv")
-    assert validation is None or 0 <= validation <= 1  # none on a busy machine
+    assert 0 <= last_validation(tmp_path / "run" / "log.csv") <= 1
     code, said, told = gpu_sh("--rehearse", tmp_path, CALLS="0")
     assert (code, told) == (0, "")  # nothing to do
     assert re.search(r"step \d+ of \d+; weights.safetensors ", said)

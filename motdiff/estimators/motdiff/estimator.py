@@ -103,14 +103,15 @@ class MotDiffEstimator(BlindEstimator):
         origins = ["search"] * _PAIR
         agreed = agreement >= _AGREED_MNC and scores.max() >= _AGREED_SCORE
         if not agreed or probabilities.max() < LOST:
+            likelier = better[int(np.argmax(scores))]
             third = None
             if halved is not None:
-                likelier = better[int(np.argmax(scores))]
                 third = self._third(crops, halved(), likelier, progress, sigma=judge.sigma)
             if third is not None:
-                agreement = max(agreement, *(mnc_subpixel(third[1], two) for two in better))
-                kernels.append(third[0])
-                better.append(third[1])
+                enlarged, third_corrected = third
+                agreement = max(agreement, *(mnc_subpixel(third_corrected, k) for k in better))
+                kernels.append(enlarged)
+                better.append(third_corrected)
                 origins.append("search at half the size")
                 scores = kernel_score(judge.evidence(better))
             probabilities = probability_good(scores, agreement, _LOG_ODDS_DOUBTED)
@@ -140,12 +141,11 @@ class MotDiffEstimator(BlindEstimator):
         judge = Judge(halved, sigma=shared_sigma(halved))
         better = corrected_pair(self._correction, halved, pair, sigma=judge.sigma)
         small = better[int(np.argmax(kernel_score(judge.evidence(better))))]
+        progress.spend(_HALVED_COST - _PAIR)
         enlarged = enlarged_kernel(small)
         if enlarged is None:
-            progress.spend(_HALVED_COST - _PAIR)
             return None
         third = corrected_kernel(self._correction, crops, enlarged, [rival], sigma=sigma)
-        progress.spend(_HALVED_COST - _PAIR)
         # where the photo at half its size contradicts the correction, it is not corrected
         agrees = mnc_subpixel(_halved(third), small) >= _AGREED_MNC
         return enlarged, third if agrees else enlarged
